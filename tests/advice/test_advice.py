@@ -10,7 +10,7 @@ from bags import Said, cdr, header
 from commands import locfuse, ok, refused, report_in, reported
 from rewrite_log import rewritten
 from rooms import ARENA, scan
-from wheel_bags import log_of, odometry, stamps
+from wheel_bags import log_of, odometry, stamps, turned
 
 import locfuse as product
 from benchmarks.consistency import LATE_CLOCK, MOVING, OFFSET, SCENARIO
@@ -110,9 +110,8 @@ def test_a_compass_that_contradicts_the_start_is_left_open_where_nothing_locates
     lap = tmp_path / "log.mcap"
     drive = rewritten(lap, None, "/scan", keep=lambda _, t: t < 30.0) if camera else half
     found = load(drive, sets=sets).findings()
-    open_ = [
-        f for f in found["findings"] if f["role"] == "start" and "Nothing in this log says which" in f["message"]
-    ]
+    of_start = [f for f in found["findings"] if f["role"] == "start"]
+    open_ = [f for f in of_start if "Nothing in this log says which" in f["message"]]
     assert len(open_) == left_open
     assert not any(fix.startswith("start.") for fix in found["fixes"])
     if left_open:
@@ -195,18 +194,10 @@ def standing(path: Path) -> Path:
     said: list[Said] = []
     for ns in stamps(T):
         values = ranges + 0.01 * rng.normal(size=len(ANGLES))
-        beams: dict[str, Any] = {
-            "angle_min": ANGLES[0],
-            "angle_increment": ANGLES[1] - ANGLES[0],
-            "range_max": 10.0,
-        }
+        beams: dict[str, Any] = {"angle_min": ANGLES[0], "angle_increment": np.radians(1.0), "range_max": 10.0}
         said.append(Said("/scan", SCAN, cdr(SCAN, header=header(ns, "laser"), ranges=values, **beams), ns))
-        turn = 0.001 * rng.normal()
-        sensed: dict[str, Any] = {
-            "orientation": {"z": np.sin(turn / 2), "w": np.cos(turn / 2)},
-            "angular_velocity": {"x": 0.0, "y": 0.0, "z": 0.002 * rng.normal()},
-            "linear_acceleration": {"z": 9.81},
-        }
+        sensed: dict[str, Any] = {"orientation": turned(0.001 * rng.normal()), "linear_acceleration": {"z": 9.81}}
+        sensed["angular_velocity"] = {"z": 0.002 * rng.normal()}
         said.append(Said("/imu", IMU, cdr(IMU, header=header(ns, "imu"), **sensed), ns))
     return log_of(path, odometry(T, np.zeros((len(T), 3))), said)
 

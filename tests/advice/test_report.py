@@ -11,24 +11,27 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import Advice
 from locfuse.fusion.checks.turning import MIRROR
 
+SETS = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
+LATE_LASER = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
+
+
+def of_errors(errors: dict[str, float], verdicts: dict[str, str] | None = None, **more: Any) -> dict[str, Any]:
+    """A report with these position errors [m] by configuration and verdicts by sensor."""
+    judged = {sensor: {"verdict": verdict} for sensor, verdict in (verdicts or {}).items()}
+    rows = {name: {"position_rmse_m": error} for name, error in errors.items()}
+    return {"configurations": rows, "verdicts": judged, **more}
+
 
 @pytest.mark.parametrize(
     ("verdicts", "end"),
-    [
-        ({"lrf": "no verdict"}, "the laser (lrf) itself cannot be checked."),
-        ({"lrf": "no verdict", "compass": "no verdict"}, "of the sensors nothing is sure."),
-        ({"lrf": "no effect seen"}, "of the sensors nothing is sure."),
-        ({"lrf": "helps", "compass": "no verdict"}, "the laser (lrf) helps."),
-        ({"lrf": "helps", "compass": "hurts"}, "the laser (lrf) helps; the compass hurts."),
-    ],
-)
+    [({"lrf": "no verdict"}, "the laser (lrf) itself cannot be checked."),
+     ({"lrf": "no verdict", "compass": "no verdict"}, "of the sensors nothing is sure."),
+     ({"lrf": "no effect seen"}, "of the sensors nothing is sure."),
+     ({"lrf": "helps", "compass": "no verdict"}, "the laser (lrf) helps."),
+     ({"lrf": "helps", "compass": "hurts"}, "the laser (lrf) helps; the compass hurts.")],
+)  # fmt: skip
 def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: dict[str, str], end: str) -> None:
-    report: dict[str, Any] = {
-        "configurations": {"odometry": {"position_rmse_m": 0.052, "sensors": []}},
-        "verdicts": {sensor: {"verdict": verdict} for sensor, verdict in verdicts.items()},
-        "reference": {"sensors": ["lrf"]},
-    }
-    found = headline(report, {"odometry": ()})
+    found = headline(of_errors({"odometry": 0.052}, verdicts, reference={"sensors": ["lrf"]}), {"odometry": ()})
     assert found == f"Measured against a reference, not truth: odometry alone differs by 52 mm; {end}"
 
 
@@ -42,34 +45,23 @@ def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: di
 )
 def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, aligned: bool, end: str) -> None:
     """A laser 0.2 s late: without its fix one would keep the compass and sell the laser."""
-    errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
     score = {"position_rmse_m": after, "aligned": aligned}
     tried = {"configuration": "lrf", "before": {"position_rmse_m": 0.058}, "after": score}
-    report: dict[str, Any] = {
-        "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
-        "verdicts": {"lrf": {"verdict": "hurts"}},
-        "findings": [{"fixes": ["lrf.time_offset=0"], "tried": tried}, {"fixes": [], "tried": None}],
-    }
-    sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
-    found = headline(report, sets)
+    findings = [{"fixes": ["lrf.time_offset=0"], "tried": tried}, {"fixes": [], "tried": None}]
+    found = headline(of_errors(LATE_LASER, {"lrf": "hurts"}, findings=findings), SETS)
     assert found.startswith("Keep the compass: 33 mm. With all sensors it is 55 mm before the fixes.")
     assert found.endswith(end)
 
 
 @pytest.mark.parametrize(
     ("compass", "camera", "end"),
-    [
-        ("hurts", "no effect seen", "the compass hurts."),
-        ("seems to hurt", "hurts", "one of the compass and the camera hurts."),
-        ("seems to help", "no effect seen", "leave the compass and the camera out."),
-    ],
-)
+    [("hurts", "no effect seen", "the compass hurts."),
+     ("seems to hurt", "hurts", "one of the compass and the camera hurts."),
+     ("seems to help", "no effect seen", "leave the compass and the camera out.")],
+)  # fmt: skip
 def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, camera: str, end: str) -> None:
-    errors = {"odometry": 3.0, "lrf": 0.75, "all": 4.2}
-    report: dict[str, Any] = {
-        "configurations": {name: {"position_rmse_m": error} for name, error in errors.items()},
-        "verdicts": {"lrf": {"verdict": "helps"}, "compass": {"verdict": compass}, "camera": {"verdict": camera}},
-    }
+    verdicts = {"lrf": "helps", "compass": compass, "camera": camera}
+    report = of_errors({"odometry": 3.0, "lrf": 0.75, "all": 4.2}, verdicts)
     found = headline(report, {"odometry": (), "lrf": ("lrf",), "all": ("lrf", "compass", "camera")})
     assert found == f"Keep the laser (lrf): 0.75 m. With all sensors it is 4.20 m: {end}"
 
@@ -78,42 +70,29 @@ def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, came
     ("smoothed", "end"), [(0.9, " Smoothed, the laser (lrf) does: 0.9 m."), (4.1, ""), (7.0, "")]
 )
 def test_where_only_smoothing_improves_on_the_wheels_it_is_named(smoothed: float, end: str) -> None:
-    errors = {"odometry": 4.28, "lrf": 6.5, "lrf-smoothed": smoothed}
-    report: dict[str, Any] = {
-        "configurations": {name: {"position_rmse_m": error} for name, error in errors.items()}
-    }
+    report = of_errors({"odometry": 4.28, "lrf": 6.5, "lrf-smoothed": smoothed})
+    del report["verdicts"]
     found = headline(report, {"odometry": (), "lrf": ("lrf",)})
     assert found == f"No sensor improves on odometry: 4.28 m.{end}"
 
 
 def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
-    errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
-    report: dict[str, Any] = {
-        "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
-        "verdicts": {"lrf": {"verdict": "no verdict"}},
-        "validity": [{"void": False, "message": "lrf: stamps look 0.2 s late"}],
-        "fixes": ["lrf.time_offset=-0.2"],
-    }
-    sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
-    assert headline(report, sets) == "As configured the best is the compass: 33 mm. Set the fixes first."
-    report["configurations"]["compass-smoothed"] = {"position_rmse_m": 0.016}
-    assert (
-        headline(report, sets)
-        == "As configured the best is the compass: 33 mm, smoothed 16 mm. Set the fixes first."
-    )
+    doubts = {"validity": [{"void": False, "message": "lrf: stamps look 0.2 s late"}], "fixes": ["lrf.x=1"]}
+    for more, words in (({}, ""), ({"compass-smoothed": 0.016}, ", smoothed 16 mm")):
+        report = of_errors(LATE_LASER | more, {"lrf": "no verdict"}, **doubts)
+        best = f"As configured the best is the compass: 33 mm{words}."
+        assert headline(report, SETS) == f"{best} Set the fixes first."
 
 
 @pytest.mark.parametrize(
     ("anees", "fixed", "sigma", "words"),
-    [
-        (2.9, None, 0.0, ""),
-        (9.0, None, 0.0, " The covariance (all) is 3.0 times too small, and no setting explains it."),
-        (9.0, 1.1, 0.0, ""),
-        (9.0, 4.0, 0.0, " The covariance (all) is still 2.0 times too small, and no setting explains it."),
-        (4235.0, None, 0.0, " ANEES (all) is over 50: set truth.sigma, the truth's own noise, to judge it."),
-        (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it."),
-    ],
-)
+    [(2.9, None, 0.0, ""),
+     (9.0, None, 0.0, " The covariance (all) is 3.0 times too small, and no setting explains it."),
+     (9.0, 1.1, 0.0, ""),
+     (9.0, 4.0, 0.0, " The covariance (all) is still 2.0 times too small, and no setting explains it."),
+     (4235.0, None, 0.0, " ANEES (all) is over 50: set truth.sigma, the truth's own noise, to judge it."),
+     (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it.")],
+)  # fmt: skip
 def test_an_unexplained_covariance_is_named(anees: float, fixed: float | None, sigma: float, words: str) -> None:
     tried = {"configuration": "all", "after": {"anees": fixed}}
     report: dict[str, Any] = {
@@ -179,13 +158,10 @@ def finding(*advice: Advice) -> Any:
 
 @pytest.mark.parametrize(
     ("steps", "message", "fixes"),
-    [
-        ((LATE, HIGH), "stamps look 0.1 s late; after this fix: noise is set too high", LATE.fixes + HIGH.fixes),
-        ((HIGH, LOW), LOW.finding.message, LOW.fixes),
-        ((LATE, AGAIN), LATE.finding.message, AGAIN.fixes),
-    ],
+    [((LATE, HIGH), "stamps look 0.1 s late; after this fix: noise is set too high", LATE.fixes + HIGH.fixes),
+     ((HIGH, LOW), LOW.finding.message, LOW.fixes), ((LATE, AGAIN), LATE.finding.message, AGAIN.fixes)],
     ids=["of different things: one after the other", "set otherwise later: not told", "measured again: told once"],
-)
+)  # fmt: skip
 def test_several_steps_become_one_message(steps: tuple[Advice, ...], message: str, fixes: tuple[str, ...]) -> None:
     found = finding(*steps)
     assert (found["message"], found["fixes"]) == (message, list(fixes))
@@ -193,13 +169,9 @@ def test_several_steps_become_one_message(steps: tuple[Advice, ...], message: st
 
 def test_a_value_that_ends_far_from_the_first_is_told_with_what_was_found_last() -> None:
     """Words of 0.15 m beside a fix of 0.003 m would contradict each other."""
-    steps = [
-        Advice(
-            Finding("gps", "overstated", f"noise is set too high: {a} m configured, {b} m observed"),
-            (f"gps.sigma={b}",),
-        )
-        for a, b in (("1.5", "0.15"), ("0.15", "0.015"), ("0.015", "0.003"))
-    ]
+    words = "noise is set too high: {} m configured, {} m observed"
+    pairs = (("1.5", "0.15"), ("0.15", "0.015"), ("0.015", "0.003"))
+    steps = [Advice(Finding("gps", "overstated", words.format(*p)), (f"gps.sigma={p[1]}",)) for p in pairs]
     first, last = (step.finding.message for step in (steps[0], steps[-1]))
     found = finding(*steps)
     assert found["message"] == f"{first}, then {last}"
@@ -211,10 +183,8 @@ def test_what_has_no_fix_stands_beside_what_has_one() -> None:
     report: dict[str, Any] = {}
     open_scale = Advice(Finding("lrf", "distances", "ranges differ from the wheels'", severe=True))
     add_findings(report, Advised((LATE, open_scale)))
-    assert [(f["code"], f["fixes"]) for f in report["findings"]] == [
-        ("lag", ["lrf.time_offset=-0.1"]),
-        ("distances", []),
-    ]
+    found = [(f["code"], f["fixes"]) for f in report["findings"]]
+    assert found == [("lag", ["lrf.time_offset=-0.1"]), ("distances", [])]
 
 
 @pytest.mark.parametrize(("harmless", "said"), [(True, "little changes"), (False, "No setting found that helps")])
@@ -227,47 +197,42 @@ def test_what_was_tried_in_vain_says_why_it_is_not_offered(harmless: bool, said:
 
 
 @pytest.mark.parametrize(
-    ("anees", "said"), [(0.921, "0.92"), (47.3, "47"), (50.2, "over 50"), (6.6e10, "over 50")]
-)
-def test_a_ratio_is_said_in_two_digits_and_not_where_it_says_nothing_more(anees: float, said: str) -> None:
-    score = {"lost_share": 0.0, "position_rmse_m": None, "prediction_nats": None, "anees": anees}
-    tried = {"configuration": "lrf", "before": score, "after": {**score, "anees": 1.0}}
-    words = sentence({"role": "lrf", "message": "noise", "fixes": ["lrf.sigma_range=1"], "tried": tried})
-    assert f"ANEES {said} -> 1)" in words
-
-
-def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
-    score = {"lost_share": 0.0, "position_rmse_m": 0.0052, "aligned": True, "prediction_nats": None, "anees": None}
-    tried = {"configuration": "lrf", "before": score, "after": {**score, "position_rmse_m": 0.0036}}
-    words = sentence({"role": "lrf", "message": "late", "fixes": ["lrf.time_offset=-0.02"], "tried": tried})
-    assert "(tried with lrf: error of the path's shape 5.2 -> 3.6 mm)" in words
+    ("before", "after", "words"),
+    [
+        ({"anees": 0.921}, {"anees": 1.0}, "ANEES 0.92 -> 1)"),
+        ({"anees": 47.3}, {"anees": 1.0}, "ANEES 47 -> 1)"),
+        ({"anees": 50.2}, {"anees": 1.0}, "ANEES over 50 -> 1)"),
+        ({"anees": 6.6e10}, {"anees": 1.0}, "ANEES over 50 -> 1)"),
+        ({"position_rmse_m": 0.0052, "aligned": True}, {"position_rmse_m": 0.0036, "aligned": True},
+         "(tried with lrf: error of the path's shape 5.2 -> 3.6 mm)"),
+    ],
+)  # fmt: skip
+def test_what_a_fix_did_is_said_in_two_digits_and_an_error_of_the_shape_is_called_so(
+    before: dict[str, Any], after: dict[str, Any], words: str
+) -> None:
+    none = {"lost_share": 0.0, "position_rmse_m": None, "prediction_nats": None, "anees": None}
+    tried = {"configuration": "lrf", "before": none | before, "after": none | after}
+    assert words in sentence({"role": "lrf", "message": "noise", "fixes": ["lrf.sigma_range=1"], "tried": tried})
 
 
 @pytest.mark.parametrize(
     ("advice", "doubt"),
-    [
-        (replace(LATE, finding=SURE), "lrf: late. All figures are without this fix: --set lrf.time_offset=-0.1"),
-        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
-        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None),
-        (LATE, None),
-    ],
-)
+    [(replace(LATE, finding=SURE), "lrf: late. All figures are without this fix: --set lrf.time_offset=-0.1"),
+     (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
+     (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None), (LATE, None)],
+)  # fmt: skip
 def test_figures_are_doubtful_while_something_is_wrong(advice: Advice, doubt: str | None) -> None:
     """How it was measured stands with the finding."""
-    report: dict[str, Any] = {
-        "configurations": {"lrf": {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}}
-    }
+    lrf = {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}
+    report: dict[str, Any] = {"configurations": {"lrf": lrf}}
     add_validity(report, (advice,), None)
     assert [v["message"] for v in report["validity"]] == ([] if doubt is None else [doubt])
 
 
 @pytest.mark.parametrize("by_advice", [False, True])
 def test_errors_by_an_unusable_truth_are_void(by_advice: bool) -> None:
-    report: dict[str, Any] = {
-        "configurations": {
-            "lrf": {"configuration": "lrf", "sensors": {}, "lost_share": 0.0, "position_rmse_m": 0.1}
-        }
-    }
+    lrf = {"configuration": "lrf", "sensors": {}, "lost_share": 0.0, "position_rmse_m": 0.1}
+    report: dict[str, Any] = {"configurations": {"lrf": lrf}}
     fault = Finding("truth", MIRROR, "it is a mirror image of the drive", (), True)
     add_validity(report, (Advice(fault),) if by_advice else (), 3.0, None if by_advice else fault)
     (entry,) = report["validity"]
@@ -287,10 +252,8 @@ def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:
 
 @pytest.mark.parametrize(
     ("words", "same"),
-    [
-        ("Keep it: 68 mm. Odometry alone: 113 mm.", "Keep it: 68 mm. Odometry alone: 113 mm."),
-        ("Keep it: 87 mm, smoothed 4.5 mm. With all it is 1.20 m.", None),
-    ],
-)
+    [("Keep it: 68 mm. Odometry alone: 113 mm.", "Keep it: 68 mm. Odometry alone: 113 mm."),
+     ("Keep it: 87 mm, smoothed 4.5 mm. With all it is 1.20 m.", None)],
+)  # fmt: skip
 def test_a_headline_has_one_unit_of_length(words: str, same: str | None) -> None:
     assert in_one_unit(words) == (same or "Keep it: 0.087 m, smoothed 0.0045 m. With all it is 1.20 m.")

@@ -32,16 +32,11 @@ REPORT: dict[str, Any] = {
     "truth": {"topic": "/gt"},
     "configurations": {
         "odometry": {"position_rmse_m": 0.5, "position_max_m": 0.9, "heading_rmse_deg": None, "sensors": {}},
-        "all": {
-            "position_rmse_m": 0.02,
-            "position_max_m": 0.05,
-            "anees": 1.1,
-            "align": "none",
-            "sensors": {"lrf": {"accepted": 10, "nis": 1.5}},
-        },
+        "all": {"position_rmse_m": 0.02, "position_max_m": 0.05, "anees": 1.1, "align": "none",
+                "sensors": {"lrf": {"accepted": 10, "nis": 1.5}}},
         "lrf@2.5Hz": {"position_rmse_m": 0.03, "sensors": {}},
     },
-}
+}  # fmt: skip
 
 WITH_VERSION = '{"locfuse": "0.2.0", "schema_version": 1, %s}'
 
@@ -50,20 +45,13 @@ def lines(*gates: str) -> list[str]:
     return Gates([parse_gate(g) for g in gates]).failures(REPORT)
 
 
-@pytest.mark.parametrize(
-    "gate", ["all.position_rmse_m > 0.01", "all.position_rmse_m>=0.02", "all.anees < 2", "all.anees <= 1.1"]
-)
-def test_a_gate_that_holds_fails_with_one_line_that_names_it_and_the_number(gate: str) -> None:
-    (line,) = lines(gate)
-    assert line.startswith(gate)
-    assert "it is" in line
-
-
-@pytest.mark.parametrize(
-    "gate", ["all.position_rmse_m > 0.02", "all.position_rmse_m >= 0.0200001", "all.anees < 1.1", "all.anees <= 1"]
-)
-def test_a_gate_that_does_not_hold_says_nothing(gate: str) -> None:
-    assert lines(gate) == []
+def test_a_gate_that_holds_fails_with_a_line_of_its_own_that_names_it_and_the_number() -> None:
+    gates = ("all.position_rmse_m > 0.01", "all.position_rmse_m>=0.02", "all.anees < 2", "all.anees <= 1.1")
+    found = lines(*gates)
+    assert [line.startswith(gate) for line, gate in zip(found, gates, strict=True)] == [True] * 4
+    assert all("it is" in line for line in found)
+    quiet = ("all.position_rmse_m > 0.02", "all.position_rmse_m >= 0.0200001", "all.anees < 1.1", "all.anees <= 1")
+    assert lines(*quiet) == []
 
 
 def test_gates_reach_into_sensors_and_names_with_dots() -> None:
@@ -73,21 +61,13 @@ def test_gates_reach_into_sensors_and_names_with_dots() -> None:
 
 @pytest.mark.parametrize(
     ("gate", "why"),
-    [
-        ("camera.position_rmse_m > 1", "no such configuration"),
-        ("all.positon_rmse_m > 1", "no such figure"),
-        ("odometry.heading_rmse_deg > 1", "does not exist"),
-        ("all.align > 1", "does not exist"),
-        ("all.sensors.camera.nis > 1", "no such figure"),
-    ],
-)
+    [("camera.position_rmse_m > 1", "no such configuration"), ("all.positon_rmse_m > 1", "no such figure"),
+     ("odometry.heading_rmse_deg > 1", "does not exist"), ("all.align > 1", "does not exist"),
+     ("all.sensors.camera.nis > 1", "no such figure")],
+)  # fmt: skip
 def test_a_figure_that_does_not_exist_fails(gate: str, why: str) -> None:
     (line,) = lines(gate)
     assert why in line
-
-
-def test_every_violated_gate_has_its_line() -> None:
-    assert len(lines("all.position_rmse_m > 0.01", "all.anees > 9", "odometry.position_max_m > 0.1")) == 2
 
 
 @pytest.mark.parametrize(
@@ -101,18 +81,10 @@ def test_a_gate_that_is_none_is_a_usage_error(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("text", "share", "metres", "degrees"),
-    [
-        ("5%", 0.05, 0, 0),
-        ("0.05", 0.05, 0, 0),
-        ("0", 0, 0, 0),
-        (" 12.5 % ", 0.125, 0, 0),
-        ("500%", 5, 0, 0),
-        ("5%,1mm", 0.05, 0.001, 0.0),
-        ("2cm, 1 %", 0.01, 0.02, 0.0),
-        ("0.1deg,0.5m", 0.0, 0.5, 0.1),
-        ("1°", 0, 0, 1),
-    ],
-)
+    [("5%", 0.05, 0, 0), ("0.05", 0.05, 0, 0), ("0", 0, 0, 0), (" 12.5 % ", 0.125, 0, 0), ("500%", 5, 0, 0),
+     ("5%,1mm", 0.05, 0.001, 0.0), ("2cm, 1 %", 0.01, 0.02, 0.0), ("0.1deg,0.5m", 0.0, 0.5, 0.1),
+     ("1°", 0, 0, 1)],
+)  # fmt: skip
 def test_a_tolerance_is_a_share_maybe_with_a_floor(text: str, share: float, metres: float, degrees: float) -> None:
     found = parse_tolerance(text)
     assert (found.share, found.metres, found.degrees) == pytest.approx((share, metres, degrees))
@@ -131,11 +103,16 @@ def test_a_tolerance_that_is_none_is_a_usage_error(text: str) -> None:
         parse_tolerance(text)
 
 
+def written(folder: Path, **changes: Any) -> Path:
+    """The report with other values, as a file."""
+    path = folder / "old.json"
+    path.write_text(json.dumps(REPORT | changes))
+    return path
+
+
 def baseline(tmp_path: Path, tolerance: str, **changes: float | None) -> list[str]:
-    old = json.loads(json.dumps(REPORT))
-    old["configurations"]["all"] |= changes
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps(old))
+    rows = REPORT["configurations"]
+    path = written(tmp_path, configurations={**rows, "all": rows["all"] | changes})
     return Gates([], read_baseline(path, tolerance)).failures(REPORT)
 
 
@@ -162,28 +139,19 @@ def test_a_floor_lets_small_lengths_and_angles_grow_by_more_than_their_share(tmp
 
 
 def test_a_baseline_with_nothing_in_common_fails(tmp_path: Path) -> None:
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps({**REPORT, "configurations": {"else": {"position_rmse_m": 1.0}}}))
+    path = written(tmp_path, configurations={"else": {"position_rmse_m": 1.0}})
     (line,) = Gates([], read_baseline(path, "5%")).failures(REPORT)
     assert "no error figure in common" in line
 
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "",
-        "[]",
-        "{}",
-        "\xff",
-        "[" * 200_000,
-        WITH_VERSION % '"configurations": 3',
-        WITH_VERSION % '"configurations": {"all": 1}',
-        WITH_VERSION % '"configurations": {"all": {}}, "input": []',
-        WITH_VERSION % '"configurations": {"all": {"reference": "x"}}',
-        WITH_VERSION % '"configurations": {"all": {"reference": {"sensors": [{}]}, "position_rmse_m": 1}}',
-        WITH_VERSION % f'"configurations": {{"all": {{"position_rmse_m": 1{"0" * 400}}}}}',
-    ],
-)
+    ["", "[]", "{}", "\xff", "[" * 200_000, WITH_VERSION % '"configurations": 3',
+     WITH_VERSION % '"configurations": {"all": 1}', WITH_VERSION % '"configurations": {"all": {}}, "input": []',
+     WITH_VERSION % '"configurations": {"all": {"reference": "x"}}',
+     WITH_VERSION % '"configurations": {"all": {"reference": {"sensors": [{}]}, "position_rmse_m": 1}}',
+     WITH_VERSION % f'"configurations": {{"all": {{"position_rmse_m": 1{"0" * 400}}}}}'],
+)  # fmt: skip
 def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "old.json"
     path.write_text(text, encoding="latin-1")
@@ -216,12 +184,20 @@ def test_gates_hold_although_the_reader_has_left(tmp_path: Path, how: tuple[str,
     assert both or re.fullmatch("gate: .*\n", done.stderr)
 
 
-def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path: Path) -> None:
+def test_the_command_compares_with_a_baseline_and_refuses_that_of_another_log_before_anything_is_fused(
+    tmp_path: Path,
+) -> None:
     words = ("--sensors", "odometry", "--write", "json", "-o")
     ok("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "a")
     baseline = ("--baseline", tmp_path / "a" / "report.json", "--tolerance", "900%")
     same = locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "b", *baseline)
     assert (same.exit_code, "baseline" in same.stderr) == (0, False)
+    report = report_in(tmp_path / "a")
+    report["configurations"]["odometry"]["position_rmse_m"] *= 0.9
+    (tmp_path / "better.json").write_text(json.dumps(report))
+    worse = ("--baseline", tmp_path / "better.json")
+    grown = locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "d", *worse)
+    assert (grown.exit_code, "odometry.position_rmse_m" in grown.stderr) == (4, True)
     refusal = refused("compare", "rounded_triangle", "--no-advice", *words, tmp_path / "c", *baseline)
     assert "is of rounded_rectangle, and this is rounded_triangle" in refusal
     assert "locfuse compare rounded_triangle -o DIR" in refusal
@@ -234,26 +210,10 @@ def known(name: str, identity: Identity) -> Any:
 
 
 def test_a_baseline_of_other_bytes_under_the_same_name_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "identity": "a"}}))
-    before = read_baseline(path, "5%")
+    before = read_baseline(written(tmp_path, input={"name": "drive", "identity": "a"}), "5%")
     refuse_another_log(before, known("drive", Identity(5, "a")))
     with pytest.raises(LocfuseError, match="another log that is also called drive"):
         refuse_another_log(before, known("drive", Identity(5, "b")))
-
-
-def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = (*ODOMETRY, "-q", "-o")
-    ok(*words, out)
-    ok(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%")
-    report = report_in(out)
-    report["configurations"]["odometry"]["position_rmse_m"] *= 0.9
-    worse = tmp_path / "worse.json"
-    worse.write_text(json.dumps(report))
-    done = locfuse(*words, tmp_path / "c", "--baseline", worse)
-    assert done.exit_code == 4
-    assert "odometry.position_rmse_m" in done.stderr
 
 
 def test_a_what_if_keeps_its_name() -> None:
@@ -267,22 +227,17 @@ def test_a_what_if_keeps_its_name() -> None:
 
 @pytest.mark.parametrize("version", [0, 2])
 def test_a_baseline_of_another_version_is_refused_in_one_line_with_the_fix(tmp_path: Path, version: int) -> None:
-    (tmp_path / "new.json").write_text(json.dumps({**REPORT, "schema_version": version, "locfuse": "9.9"}))
     with pytest.raises(LocfuseError, match=rf"schema_version {version}.*9\.9.*[Uu]pdate locfuse"):
-        read_baseline(tmp_path / "new.json", "5%")
+        read_baseline(written(tmp_path, schema_version=version, locfuse="9.9"), "5%")
 
 
 # --- what pairs of configurations add to a verdict: a lower rate, and sensors beside which one harms
 
 
 SETS: dict[str, tuple[str, ...]] = {
-    "odometry": (),
-    "compass": ("compass",),
-    "camera": ("camera",),
-    "lrf": ("lrf",),
-    "compass+camera": ("compass", "camera"),
-    "all": ("compass", "camera", "lrf"),
-}
+    "odometry": (), "compass": ("compass",), "camera": ("camera",), "lrf": ("lrf",),
+    "compass+camera": ("compass", "camera"), "all": ("compass", "camera", "lrf")
+}  # fmt: skip
 ERRORS = {"odometry": 0.5, "compass": 0.3, "camera": 0.064, "lrf": 0.004, "compass+camera": 0.12, "lrf@2Hz": 0.008}
 
 
@@ -290,12 +245,8 @@ def test_a_lower_rate_and_a_pair_in_which_one_harms_are_said_in_figures() -> Non
     found = {s: {"verdict": "helps", "words": "Why."} for s in ("compass", "camera", "lrf")}
     add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, ERRORS, by_truth=True)
     words = {s: v["words"].removeprefix("Why.").strip() for s, v in found.items()}
-    assert words["camera"] == ""
-    assert words["compass"] == "Beside camera: 64 -> 120 mm (1.9x worse)."
-    assert words["lrf"] == "lrf@2Hz: 4 -> 8 mm (2.0x worse)."
-
-
-def test_without_errors_nothing_is_added() -> None:
-    found = {"lrf": {"verdict": "no verdict", "words": ""}}
-    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, dict.fromkeys(ERRORS), by_truth=True)
-    assert found == {"lrf": {"verdict": "no verdict", "words": ""}}
+    beside, slower = "Beside camera: 64 -> 120 mm (1.9x worse).", "lrf@2Hz: 4 -> 8 mm (2.0x worse)."
+    assert words == {"camera": "", "compass": beside, "lrf": slower}
+    none = {"lrf": {"verdict": "no verdict", "words": ""}}
+    add_pairs(none, SETS, {"lrf@2Hz": ("lrf",)}, dict.fromkeys(ERRORS), by_truth=True)
+    assert none == {"lrf": {"verdict": "no verdict", "words": ""}}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 
 from locfuse.fusion.camera import panorama
-from locfuse.fusion.camera.detect import MIN_HALF_RADIUS_PX, Detection, Detector, detect, radial_candidates
+from locfuse.fusion.camera.detect import Detection, Detector, detect, radial_candidates
 from locfuse.fusion.camera.images import coarse_size, decode, image_size
 from locfuse.fusion.camera.optics import Optics, angle_of_bearing, bearing, omni_1, paper_omni_1
 from locfuse.fusion.camera.panorama import Red, RedCandidate, cap, largest, red_grey, variance
@@ -32,15 +32,10 @@ def optics_of(lens: Lens) -> Optics:
     return Optics(lens.x_c, lens.y_c, lens.inner, lens.outer, 720, zero, lens.clockwise)
 
 
-def bearings_deg(found: list[RedCandidate], lens: Lens = LENS) -> list[float]:
-    return [math.degrees(float(bearing(np.asarray(c.theta), optics_of(lens)))) for c in found]
-
-
 def one_error(chain: Chain, shot: Picture, pole: Pole, lens: Lens = LENS) -> float:
     """Error [deg] of the only candidate."""
-    found = bearings_deg(chain(shot, optics_of(lens), Red()), lens)
-    assert len(found) == 1, found
-    return wrapped_deg(found[0] - pole.bearing_deg)
+    (found,) = chain(shot, optics_of(lens), Red())
+    return wrapped_deg(math.degrees(float(bearing(np.asarray(found.theta), optics_of(lens)))) - pole.bearing_deg)
 
 
 def jpeg(shot: Picture, quality: int = 80) -> Picture:
@@ -103,6 +98,13 @@ def test_a_pixel_is_red_by_its_excess_over_green_and_blue_and_by_its_share() -> 
     np.testing.assert_array_equal(panorama.red_grey(shot, red), expected)
 
 
+def test_lines_come_in_one_shape_from_opencv_4_and_5() -> None:
+    lines = np.arange(8, dtype=np.int32)
+    for found in (lines.reshape(2, 1, 4), lines.reshape(2, 4)):
+        assert panorama._lines(found).tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
+    assert panorama._lines(None).shape == (0, 4)
+
+
 def test_the_noise_filter_removes_single_pixels_and_keeps_a_pole() -> None:
     pole = Pole(35.0)
     shot = picture(LENS, pole)
@@ -112,13 +114,6 @@ def test_the_noise_filter_removes_single_pixels_and_keeps_a_pole() -> None:
     noisy[y, x] = rng.integers(0, 2, (3000, 3), np.uint8) * np.uint8(255)
     for chain in CHAINS.values():
         assert abs(one_error(chain, noisy, pole)) < 0.2
-
-
-def test_lines_come_in_one_shape_from_opencv_4_and_5() -> None:
-    lines = np.arange(8, dtype=np.int32)
-    for found in (lines.reshape(2, 1, 4), lines.reshape(2, 4)):
-        assert panorama._lines(found).tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
-    assert panorama._lines(None).shape == (0, 4)
 
 
 @both_chains
@@ -149,13 +144,11 @@ CUT, RIM = Lens(height=330, y_c=150.0, outer=232.0), Lens(outer=150.0)
 @both_chains
 @pytest.mark.parametrize(
     ("lens", "pole", "gain", "quality", "most_deg"),
-    [
-        (RIM, Pole(63.0, distance=1.2, top=2.0), 1.0, 80, 0.2),  # cut by the mirror's rim
-        (CUT, NEAR, 1.0, 80, 0.3),  # cut slantwise by the picture's border
-        *((LENS, Pole(-100.0), gain, 80, 0.15) for gain in (0.35, 0.6, 1.3, 1.7)),  # dim and bright light
-        *((LENS, Pole(12.0, distance=4.0), 1.0, quality, 0.25) for quality in (20, 50, 95)),
-    ],
-)
+    [(RIM, Pole(63.0, distance=1.2, top=2.0), 1.0, 80, 0.2),  # cut by the mirror's rim
+     (CUT, NEAR, 1.0, 80, 0.3),  # cut slantwise by the picture's border
+     *((LENS, Pole(-100.0), gain, 80, 0.15) for gain in (0.35, 0.6, 1.3, 1.7)),  # dim and bright light
+     *((LENS, Pole(12.0, distance=4.0), 1.0, quality, 0.25) for quality in (20, 50, 95))],
+)  # fmt: skip
 def test_the_bearing_survives_edges_light_and_jpeg(
     chain: Chain, lens: Lens, pole: Pole, gain: float, quality: int, most_deg: float
 ) -> None:
@@ -328,9 +321,8 @@ def test_things_are_the_same_by_whole_arrays(
     other = by_arrays(shot, optics, RED)
     assert len(found) == len(other)
     here, there = np.array(found).reshape(-1, 6), np.array(other).reshape(-1, 6)
-    here[:, 0] -= math.tau * np.round(
-        (here[:, 0] - there[:, 0]) / math.tau
-    )  # straight ahead: 0 or 2 pi by rounding
+    turns = np.round((here[:, 0] - there[:, 0]) / math.tau)  # straight ahead: 0 or 2 pi by rounding
+    here[:, 0] -= math.tau * turns
     np.testing.assert_allclose(here, there, rtol=1e-9, atol=1e-15)
 
 
@@ -354,13 +346,8 @@ def coded(shot: NDArray[Any], sampling: int = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_4
 
 
 def detector_of(lens: Lens) -> Detector:
-    return Detector(
-        centre=(lens.x_c, lens.y_c),
-        inner=lens.inner,
-        outer=lens.outer,
-        zero=math.radians(lens.zero_deg),
-        clockwise=lens.clockwise,
-    )
+    mounted: dict[str, Any] = {"zero": math.radians(lens.zero_deg), "clockwise": lens.clockwise}
+    return Detector(centre=(lens.x_c, lens.y_c), inner=lens.inner, outer=lens.outer, **mounted)
 
 
 def whole(data: bytes, detector: Detector) -> Detection:
@@ -377,14 +364,12 @@ def seen(data: bytes, detector: Detector) -> Detection:
 
 @pytest.mark.parametrize(
     ("sampling", "coarse"),
-    [
-        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, True),
-        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422, True),
-        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_411, True),
-        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_440, False),  # half as high only: the columns are all there
-        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444, False),
-    ],
-)
+    [(cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, True),
+     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422, True),
+     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_411, True),
+     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_440, False),  # half as high only: the columns are all there
+     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444, False)],
+)  # fmt: skip
 def test_coarse_colour_is_read_from_the_frame_header(sampling: int, coarse: bool) -> None:
     shot = picture(LENS, Pole(20.0))
     for progressive in (0, 1):
@@ -418,13 +403,6 @@ def test_the_bearing_is_that_of_the_whole_picture_and_right(lens: Lens) -> None:
         assert b.width == pytest.approx(a.width, rel=0.25)
     assert np.sqrt(np.mean(np.square(apart))) < 0.05  # deg
     assert np.abs(errors).max() < 3.0  # of its own sigma
-
-
-def test_half_is_for_the_fast_chain_on_mirrors_that_are_large_enough() -> None:
-    shape = (LENS.height, LENS.width)
-    assert detector_of(LENS).is_half_enough(shape)
-    assert not replace(detector_of(LENS), chain="paper").is_half_enough(shape)
-    assert not replace(detector_of(LENS), outer=MIN_HALF_RADIUS_PX - 1.0).is_half_enough(shape)
 
 
 def test_a_jpeg_with_all_its_colour_is_looked_at_whole_and_its_size_is_reported() -> None:

@@ -1,5 +1,6 @@
 """Whose clock is off: sensors that see how the robot turned tell a lag better than wheels that slip."""
 
+from itertools import combinations
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,20 +11,8 @@ from present import present
 from rows import readings
 
 from locfuse.fusion import se2
-from locfuse.fusion.checks.clocks import (
-    clock_lags,
-    clock_words,
-    differences,
-    far_lag,
-    lag_of_run,
-    lags_by_truth,
-    of_clocks,
-    of_uneven_stamps,
-    start_kept,
-    way_lag,
-    wrong_clocks,
-)
-from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth_saying
+from locfuse.fusion.checks import clocks
+from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.robot import Robot, StartSettings
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -65,20 +54,18 @@ def test_a_late_clock_is_measured_by_the_sensor_that_sees_the_same_turning() -> 
     for seed in SEEDS:
         wheels, true = turned(seed)
         late, compass = headings(true, seed, 10.0, 0.05, late=0.12), headings(true, seed + 50, 20.0, 0.5)
-        ((clock,),) = wrong_clocks(differences(drive_of(wheels, compass=compass, gyro=late), Robot()), 4.0)
+        lags = clocks.differences(drive_of(wheels, compass=compass, gyro=late), Robot())
+        ((clock,),) = clocks.wrong_clocks(lags, 4.0)
         assert (clock.name, set(clock.against)) == ("gyro", {"compass", "wheels"})
         errors.append(clock.offset + 0.12)
-        alone.append(clock_lags({"gyro": late}, wheels)["gyro"].offset + 0.12)
+        alone.append(clocks.clock_lags({"gyro": late}, wheels)["gyro"].offset + 0.12)
     assert np.abs(errors).max() < 0.01
     assert np.std(alone) > 1.5 * np.std(errors)
 
 
 def pairs(sigma: float = 0.004, **late: float) -> dict[tuple[str, str], Lag]:
     """What comparing every two clocks gives where some are late [s]."""
-    names = [*late]
-    return {
-        (a, b): Lag(late[b] - late[a], 0.999, 0.99, sigma) for i, a in enumerate(names) for b in names[i + 1 :]
-    }
+    return {(a, b): Lag(late[b] - late[a], 0.999, 0.99, sigma) for a, b in combinations(late, 2)}
 
 
 @pytest.mark.parametrize(
@@ -97,28 +84,28 @@ def pairs(sigma: float = 0.004, **late: float) -> dict[tuple[str, str], Lag]:
     ],
 )
 def test_the_clock_that_the_others_outvote_is_off(late: dict[str, float], off: dict[str, float]) -> None:
-    first = next(iter(wrong_clocks(pairs(**late), 4.0)), ())
+    first = next(iter(clocks.wrong_clocks(pairs(**late), 4.0)), ())
     assert {clock.name: clock.offset for clock in first} == pytest.approx(off)
 
 
 def test_of_two_clocks_either_may_be_off_and_the_sensor_is_named_first() -> None:
-    found = wrong_clocks(pairs(lrf=0.1, wheels=0.0), 4.0)
+    found = clocks.wrong_clocks(pairs(lrf=0.1, wheels=0.0), 4.0)
     assert [[(c.name, round(c.offset, 3)) for c in one] for one in found] == [[("lrf", -0.1)], [("wheels", 0.1)]]
+    ((clock,),) = clocks.wrong_clocks(pairs(lrf=0.05, compass=0.0, wheels=0.0), 4.0)
+    assert (
+        clocks.clock_words(clock)
+        == "stamps look 0.050 s late (1 sigma: 0.003 s) against the compass and the wheels"
+    )
 
 
 def test_slips_move_all_lags_alike_so_that_three_are_no_surer_than_one() -> None:
     """A mean of three independent lags of three sigma would be 5.2 sigma; one ground moved them all."""
     late = {(name, "wheels"): Lag(-0.012, 0.999, 0.99, 0.004) for name in ("compass", "lrf", "gyro")}
-    assert not wrong_clocks(late, 4.0)
+    assert not clocks.wrong_clocks(late, 4.0)
     later = {pair: lag._replace(offset=-0.03) for pair, lag in late.items()}
-    ((clock,), *_) = wrong_clocks(later, 4.0)
+    ((clock,), *_) = clocks.wrong_clocks(later, 4.0)
     assert clock.name == "wheels"
     assert [clock.offset, clock.sigma] == pytest.approx([0.03, 0.004])
-
-
-def test_the_words_say_how_late_and_against_what() -> None:
-    ((clock,),) = wrong_clocks(pairs(lrf=0.05, compass=0.0, wheels=0.0), 4.0)
-    assert clock_words(clock) == "stamps look 0.050 s late (1 sigma: 0.003 s) against the compass and the wheels"
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02])
@@ -127,19 +114,9 @@ def test_the_sigma_of_a_lag_is_as_large_as_its_error(late: float) -> None:
     errors = []
     for seed in SEEDS:
         wheels, true = turned(seed)
-        lag = clock_lags({"gyro": headings(true, seed, 10.0, 0.05, late)}, wheels)["gyro"]
+        lag = clocks.clock_lags({"gyro": headings(true, seed, 10.0, 0.05, late)}, wheels)["gyro"]
         errors.append((lag.offset + late) / lag.sigma)
     assert 0.3 < np.mean(np.square(errors)) < 2.5
-
-
-def test_a_lag_is_said_from_four_of_its_own_sigmas_on() -> None:
-    """20 ms are said where they are known to 4 ms, and not where to 6 ms."""
-    said = Lag(0.02, 0.999, 0.98, sigma=0.004)
-    assert worth_saying(said)
-    assert not worth_saying(said._replace(sigma=0.006))
-    assert not worth_saying(said._replace(without=0.9989))
-    assert not worth_saying(Lag(0.13, 0.99, 0.9))
-    assert not worth_saying(Lag(0.005, 0.999, 0.98, sigma=0.0001))
 
 
 def test_a_clock_that_only_a_run_of_the_laser_can_judge_gets_no_fix() -> None:
@@ -148,7 +125,7 @@ def test_a_clock_that_only_a_run_of_the_laser_can_judge_gets_no_fix() -> None:
     alone = replace(drive_of(wheels), truth=truth)
     beside = replace(drive_of(wheels, lrf=readings(T[:3], np.zeros((3, 2)), 0.01)), truth=truth)
     robot = replace(Robot(), sensors={"lrf": REGISTRY["lrf"].Settings()})
-    (found,), (open_,) = of_clocks(alone, robot), of_clocks(beside, robot)
+    (found,), (open_,) = clocks.of_clocks(alone, robot), clocks.of_clocks(beside, robot)
     assert (found.role, found.severe, open_.role, open_.severe) == ("truth", True, "truth", True)
     assert float(found.fixes[0].removeprefix("truth.time_offset=")) == pytest.approx(-0.3, abs=0.03)
     assert open_.fixes == ()
@@ -173,11 +150,14 @@ def test_a_run_whose_map_holds_the_heading_tells_its_clock_by_the_truth(late: fl
     """As far off as its sigma says, and within 1.5 ms."""
     errors, sigmas = [], []
     for seed in SEEDS:
-        lag = present(lag_of_run(*a_run(*turned(seed), seed, late)))
+        drive, truth, run = a_run(*turned(seed), seed, late)
+        lag = present(clocks.lag_of_run(drive, truth, run))
         errors.append(lag.offset + late)
         sigmas.append(lag.sigma)
     assert np.abs(errors).max() < 0.0015
     assert max(sigmas) < 0.001
+    assert clocks.lag_of_run(drive, None, run) is None
+    assert clocks.lag_of_run(drive, replace(truth, theta=None), run) is None
     assert 0.2 < np.mean(np.square(np.array(errors) / sigmas)) < 2.5
 
 
@@ -192,30 +172,21 @@ def test_a_compass_tells_its_clock_beside_the_truth_far_better_than_beside_wheel
         compass = replace(compass, z=compass.z + iron[:, None])
         drive = replace(a_run(wheels, true, seed, 0.0)[0], measurements={"compass": compass})
         truth = Truth("/truth", T, np.zeros((len(T), 2)), se2.wrap_all(true))
-        lag = lags_by_truth(drive, truth)["compass"]
+        lag = clocks.lags_by_truth(drive, truth)["compass"]
         errors.append(lag.offset + 0.03)
         sigmas.append(lag.sigma)
-        beside_wheels.append(clock_lags(drive.measurements, wheels)["compass"].sigma)
+        beside_wheels.append(clocks.clock_lags(drive.measurements, wheels)["compass"].sigma)
     assert np.abs(errors).max() < 0.008
     assert 4.0 * max(sigmas) < min(beside_wheels)
     assert 0.3 < np.mean(np.square(np.array(errors) / sigmas)) < 2.5
 
 
-def test_a_run_without_truth_s_headings_tells_no_clock() -> None:
-    drive, truth, run = a_run(*turned(0), 0, 0.02)
-    assert lag_of_run(drive, None, run) is None
-    assert lag_of_run(drive, replace(truth, theta=None), run) is None
-
-
 @pytest.mark.parametrize("offset", [0.2, -0.2])
 def test_another_clock_of_wheels_does_not_turn_the_path_of_a_robot_that_moves_at_the_start(offset: float) -> None:
-    twist = np.tile(
-        [0.5 * 0.02, 0.0, 0.8 * 0.02], (len(T) - 1, 1)
-    )  # m, rad in each step: a circle from the start on
+    twist = np.tile([0.5 * 0.02, 0.0, 0.8 * 0.02], (len(T) - 1, 1))  # m, rad: a circle from the start on
     robot = replace(Robot(), start=StartSettings(x=1.0, y=2.0, theta_deg=90.0), start_given=True)
-    fixes = dict(
-        fix.split("=") for fix in start_kept(offset, drive_of(Wheels.from_twists(T, twist, 0.6, 4e-4)), robot)
-    )
+    kept = clocks.start_kept(offset, drive_of(Wheels.from_twists(T, twist, 0.6, 4e-4)), robot)
+    fixes = dict(fix.split("=") for fix in kept)
     turn, r = 0.8 * offset, 0.5 / 0.8  # rad; m, of the circle about (1 - r, 2)
     assert float(fixes["start.theta_deg"]) == pytest.approx(90.0 + np.degrees(turn), abs=0.1)
     assert float(fixes["start.x"]) == pytest.approx(1.0 - r + r * np.cos(turn), abs=0.002)
@@ -227,10 +198,10 @@ def test_the_start_stays_where_the_robot_stands_or_nothing_says_where_the_path_l
     twist = np.zeros((len(T) - 1, 3))
     twist[50:, 2] = 0.01
     stands, turns = Wheels.from_twists(T, twist, 0.6, 4e-4), Wheels.from_twists(T[50:], twist[50:], 0.6, 4e-4)
-    assert start_kept(0.2, drive_of(stands), given) == ()
-    assert start_kept(0.2, drive_of(turns), given) != ()
-    assert start_kept(0.2, drive_of(turns), Robot()) == ()
-    assert start_kept(0.2, drive_of(turns), replace(given, start=StartSettings(at=3.0))) == ()
+    assert clocks.start_kept(0.2, drive_of(stands), given) == ()
+    assert clocks.start_kept(0.2, drive_of(turns), given) != ()
+    assert clocks.start_kept(0.2, drive_of(turns), Robot()) == ()
+    assert clocks.start_kept(0.2, drive_of(turns), replace(given, start=StartSettings(at=3.0))) == ()
 
 
 # --- a sensor's clock against the wheels': the lag that was put in is found, by wheels that slip too
@@ -301,17 +272,17 @@ def test_readings_from_either_side_of_a_gap_are_not_compared() -> None:
 def test_stamps_that_scatter_about_an_even_period_are_named_with_their_sigma() -> None:
     rng = np.random.default_rng(1)
     even = 0.1 * np.arange(600.0)
-    (found,) = of_uneven_stamps("lrf", np.sort(even + rng.normal(0.0, 0.03, 600)))
+    (found,) = clocks.of_uneven_stamps("lrf", np.sort(even + rng.normal(0.0, 0.03, 600)))
     assert found.role == "lrf"
     assert not found.fixes
-    assert float(found.message.split(" s ")[0].removeprefix("stamps scatter by ")) == pytest.approx(
-        0.03, abs=0.003
-    )
+    sigma = float(found.message.split(" s ")[0].removeprefix("stamps scatter by "))
+    assert sigma == pytest.approx(0.03, abs=0.003)
     varying = np.cumsum(rng.normal(0.1, 0.03, 600).clip(0.01))
     dropped = even[rng.random(600) > 0.2]
     alternating = even[np.arange(600) % 3 > 0][:399]  # every third one is not recorded
     slight = even + rng.normal(0.0, 0.005, 600)
-    assert not any(of_uneven_stamps("lrf", t) for t in (even, varying, dropped, alternating, slight, even[:20]))
+    for t in (even, varying, dropped, alternating, slight, even[:20]):
+        assert not any(clocks.of_uneven_stamps("lrf", t))
 
 
 @pytest.mark.parametrize(("stops", "known"), [(range(5, 80, 8), True), ([35], False)], ids=["often", "once"])
@@ -323,7 +294,7 @@ def test_a_lag_by_speeds_is_known_only_if_every_part_of_the_drive_shows_it(stops
     wheels = Wheels.from_twists(t, 0.1 * np.outer((speed + ours)[1:], [1.0, 0.0, 0.0]), 0.5, 0.0)
     xy = np.outer(0.1 * np.cumsum(np.interp(t - 0.2, t, speed) + theirs), [1.0, 0.0])
     drive = cast("Drive", SimpleNamespace(wheels=wheels))
-    found = present(way_lag(Truth("/truth", t, xy, None), drive))
+    found = present(clocks.way_lag(Truth("/truth", t, xy, None), drive))
     assert found.offset == pytest.approx(-0.2, abs=0.05)
     assert (found.spread < 0.05) == known
 
@@ -333,9 +304,8 @@ def test_a_late_truth_that_moves_while_the_wheels_stand_is_not_noisy() -> None:
     twist = np.zeros((len(T) - 1, 3))
     twist[:, 0] = np.where(T[1:] % 8.0 < 4.0, 0.02 * 0.3, 0.0)
     wheels, late = Wheels.from_twists(T, twist, 0.6, 4e-4), T[50::5]
-    x = np.interp(late - 1.0, T[1:], np.cumsum(twist[:, 0])) + np.random.default_rng(1).normal(
-        0.0, 0.001, len(late)
-    )
+    x = np.interp(late - 1.0, T[1:], np.cumsum(twist[:, 0]))
+    x += np.random.default_rng(1).normal(0.0, 0.001, len(late))
     truth = Truth("/truth", late, np.stack((x, np.zeros(len(x))), axis=-1), None)
     assert truth_sigma(truth, wheels).xy < 0.002
 
@@ -349,10 +319,6 @@ def test_a_truth_on_its_own_clock_is_found_if_the_drive_never_repeats_itself(lat
     t = T[: len(twist) + 1]
     wheels = Wheels.from_twists(t, twist, 0.6, 4e-4)
     truth = Truth("/truth", t[::5] + late, wheels.pose[::5, :2], wheels.pose[::5, 2] if headings else None)
-    assert present(far_lag(truth.t, truth.xy, truth.theta, wheels)).offset == pytest.approx(-late, abs=0.1)
-
-
-def test_a_drive_that_repeats_itself_shows_no_far_lag() -> None:
-    wheels, true = turned(0)
-    truth = Truth("/truth", T + 20.0, wheels.pose[:, :2], se2.wrap_all(true))
-    assert far_lag(truth.t, truth.xy, truth.theta, wheels) is None
+    assert present(clocks.far_lag(truth.t, truth.xy, truth.theta, wheels)).offset == pytest.approx(-late, abs=0.1)
+    again, true = turned(0)  # it repeats itself
+    assert clocks.far_lag(T + 20.0, again.pose[:, :2], se2.wrap_all(true), again) is None

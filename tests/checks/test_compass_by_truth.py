@@ -48,9 +48,8 @@ def test_iron_is_found_by_the_truth_without_a_full_turn(hard: Array, soft: Array
         assert np.fromstring(told["compass.hard_iron"].strip("[]"), sep=",") == pytest.approx(hard, abs=0.3)
     if soft is SOFT:  # the inverse of a symmetric matrix, of determinant 1
         shape = np.linalg.inv(soft) * math.sqrt(float(np.linalg.det(soft)))
-        assert np.fromstring(told["compass.soft_iron"].strip("[]"), sep=",") == pytest.approx(
-            shape.ravel(), abs=0.03
-        )
+        found_shape = np.fromstring(told["compass.soft_iron"].strip("[]"), sep=",")
+        assert found_shape == pytest.approx(shape.ravel(), abs=0.03)
     blind, _ = beside(CompassSettings(), truth=False)
     assert of_iron(blind, settings, {"compass": field(hard, soft)}) == []
 

@@ -24,24 +24,14 @@ FRAME = np.array([3.0, -2.0, math.radians(-25.0)])  # the map in the frame of th
 SETTINGS: dict[str, Any] = {"gps": GpsSettings, "pose": PoseSettings, "twist": TwistSettings}
 
 
-def at_truth(late: float) -> tuple[Array, Array]:
-    """Times (n,) at which a sensor whose clock is `late` reads, and true poses (n, 3) of the robot then."""
+def seen(
+    sensor: str, body: tuple[float, float, float] = (0.0, 0.0, 0.0), late: float = 0.0, times: Any = 1.0,
+    sigma: float = 0.01, frame: Array = FRAME, **settings: Any
+) -> tuple[Drive, Robot]:  # fmt: skip
+    """A drive with readings of a sensor on `body`, each number multiplied by `times`; its robot."""
     t, pose = path(1.0)
     at = np.arange(2.0, t[-1] - 2.0, 0.2)
-    return at + late, np.stack([np.interp(at, t, c) for c in pose.T], axis=-1)
-
-
-def seen(
-    sensor: str,
-    body: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    late: float = 0.0,
-    times: Any = 1.0,
-    sigma: float = 0.01,
-    frame: Array = FRAME,
-    **settings: Any,
-) -> tuple[Drive, Robot]:
-    """A drive with readings of a sensor on `body`, each number multiplied by `times`; its robot."""
-    t, pose = at_truth(late)
+    t, pose = at + late, np.stack([np.interp(at, t, c) for c in pose.T], axis=-1)
     rng = np.random.default_rng(2)
     z = se2.compose(frame, se2.compose(pose, np.array(body)))
     z += sigma * rng.normal(size=z.shape)
@@ -65,6 +55,7 @@ def test_a_sensor_that_says_what_is_true_is_not_mentioned(sensor: str) -> None:
     one, settings = seen(sensor)
     assert of_positions(one, settings) == []
     assert of_claims(one, settings) == []
+    assert sensor != "gps" or of_antenna(one, settings, ()) is None
     assert of_positions(replace(one, truth=None), settings) == []
 
 
@@ -112,15 +103,13 @@ def test_the_body_of_poses_is_found_and_their_frame() -> None:
 
 @pytest.mark.parametrize(
     ("times", "words"),
-    [
-        ([-1.0, 1.0], "its forward speeds are -1 times those of the {}: they have the other sign"),
-        ([1.0, -1.0], "its turning rates are -1 times those of the {}: they have the other sign"),
-        ([1000.0, 1.0], "its forward speeds are 1e+03 times those of the {}: they look like mm/s"),
-        ([3.6, 1.0], "its forward speeds are 3.6 times those of the {}: they look like km/h"),
-        ([1.0, math.degrees(1.0)], "its turning rates are 57.3 times those of the {}: they look like degrees/s"),
-        ([1.2, 1.0], "its forward speeds are 1.2 times those of the {}"),
-    ],
-)
+    [([-1.0, 1.0], "its forward speeds are -1 times those of the {}: they have the other sign"),
+     ([1.0, -1.0], "its turning rates are -1 times those of the {}: they have the other sign"),
+     ([1000.0, 1.0], "its forward speeds are 1e+03 times those of the {}: they look like mm/s"),
+     ([3.6, 1.0], "its forward speeds are 3.6 times those of the {}: they look like km/h"),
+     ([1.0, math.degrees(1.0)], "its turning rates are 57.3 times those of the {}: they look like degrees/s"),
+     ([1.2, 1.0], "its forward speeds are 1.2 times those of the {}")],
+)  # fmt: skip
 def test_speeds_of_another_unit_sign_or_scale_are_named(times: list[float], words: str) -> None:
     one, settings = seen("twist", times=times)
     (by_truth,) = of_positions(one, settings)

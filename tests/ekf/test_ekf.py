@@ -23,11 +23,6 @@ UPPER: Triangle = (0.04, 0.01, 0.002, 0.09, -0.003, 0.01)
 EXACT, LOST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (25.0, 0.0, 0.0, 25.0, 0.0, 3.0)
 
 
-def motion(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    L = rng.normal(size=(3, 3)) * 0.01
-    return rng.normal(size=3) * [0.1, 0.01, 0.1], L @ L.T
-
-
 def joint(rng: np.random.Generator) -> tuple[JointBelief, TextbookEkf]:
     offset = Block("offset", np.array([0.3]), np.array([[1.0]]), np.array([0.0]))
     belief = JointBelief(POSE, UPPER, [offset])
@@ -47,7 +42,8 @@ def test_the_joint_filter_equals_the_textbook_over_a_whole_drive() -> None:
     rng = np.random.default_rng(1)
     belief, book = joint(rng)
     for _ in range(500):
-        u, Q = motion(rng)
+        L = 0.01 * rng.normal(size=(3, 3))
+        u, Q = rng.normal(size=3) * [0.1, 0.01, 0.1], L @ L.T
         belief.predict(step(u, Q), 0)
         book.predict(u, Q)
         columns = [tuple(int(c) + k for k in range(2)) for c in rng.choice(np.arange(4, 20, 2), 3, replace=False)]
@@ -107,9 +103,7 @@ def test_predictions_and_corrections_are_the_textbook_filters(seed: int) -> None
     x, u = g.normal(size=3), g.normal(size=3)
     book = TextbookEkf(x, P)
     book.predict(u, Q)
-    after, P_after = predicted(
-        np.tile(x, (2, 1)), np.tile(P, (2, 1, 1)), np.tile(u, (2, 1)), np.tile(Q, (2, 1, 1))
-    )
+    after, P_after = predicted(*(np.stack((v, v)) for v in (x, P, u, Q)))
     np.testing.assert_allclose(after, [book.x, book.x], atol=1e-12)
     np.testing.assert_allclose(P_after, [book.P, book.P], atol=1e-12)
     g, P = some(seed, 5)
@@ -148,13 +142,6 @@ def book_of(belief: JointBelief) -> TextbookEkf:
     return TextbookEkf(belief.state, belief.covariance)
 
 
-def lines(count: int, states: int, seed: int) -> list[Told]:
-    """Readings of two numbers each, by the pose and two states."""
-    rng = np.random.default_rng(seed)
-    some = [tuple((3 + rng.choice(states, 2, replace=False)).tolist()) if states > 1 else () for _ in range(count)]
-    return [some_told(rng, 2, columns) for columns in some]
-
-
 def agrees(belief: JointBelief, book: TextbookEkf) -> None:
     np.testing.assert_allclose(belief.state, book.x, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(belief.covariance, book.P, rtol=1e-9, atol=1e-9)
@@ -179,7 +166,12 @@ def test_a_prediction_is_that_of_the_textbook(states: int, wheels: bool) -> None
 @pytest.mark.parametrize("considered", [(), (0, 3)])
 @pytest.mark.parametrize("start", [UPPER, EXACT, LOST])
 def test_corrections_are_textbook(states: int, count: int, considered: tuple[int, ...], start: Triangle) -> None:
-    belief, told = random_belief(states, 1, start), lines(count, states, count)
+    """Readings of two numbers each, by the pose and two states."""
+    belief, rng = random_belief(states, 1, start), np.random.default_rng(count)
+    pairs = (
+        tuple((3 + rng.choice(states, 2, replace=False)).tolist()) if states > 1 else () for _ in range(count)
+    )
+    told = [some_told(rng, 2, columns) for columns in [*pairs]]
     kept, book = [c for c in considered if c < belief.n], book_of(belief)
     belief.consider(np.array(kept, np.int64))
     y, H, R = dense(told, belief.n)
@@ -252,6 +244,10 @@ COMPASS = ((0.0, 0.0, 1.0),)
 NORTH = ((0.6, -0.8, 0.3),)  # any row of the pose in the map
 
 
+def empty(name: str, k: int) -> Block:
+    return Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k))
+
+
 def row(H: Any, y: float, r: float, columns: Any = (), own: Any = ()) -> Told:
     return Told((y,), H, ((r,),), columns, own)
 
@@ -296,9 +292,8 @@ def test_the_pose_in_the_map_has_the_covariance_of_finite_differences() -> None:
     expected[:2, :2] += bent(P[5, 5]) * np.outer(r, r)
     np.testing.assert_allclose(InMap(belief).pose(), move(x[3:], x[:3]), atol=1e-14)
     np.testing.assert_allclose(matrix_in_map(belief), expected, atol=1e-9)
-    np.testing.assert_allclose(
-        map_covariance(x[None, 3:], x[None, :3], P[None])[0], matrix_in_map(belief), atol=1e-14
-    )
+    alone = map_covariance(x[None, 3:], x[None, :3], P[None])[0]
+    np.testing.assert_allclose(alone, matrix_in_map(belief), atol=1e-14)
     np.testing.assert_array_equal(belief.covariance, belief.covariance.T)
     assert not np.allclose(matrix_in_map(belief), belief.matrix())
 
@@ -335,7 +330,7 @@ def test_what_observes_the_pose_in_the_map_observes_both_by_the_chain_rule(h: Ca
 
 def test_a_frame_begins_without_a_change_in_the_map() -> None:
     """Also for a kept heading and wheel states: the joint covariance is that of the states as functions."""
-    belief = JointBelief(START, P1, [Block("kept", np.zeros(1), np.zeros((1, 1)), np.zeros(1)), OFFSET])
+    belief = JointBelief(START, P1, [empty("kept", 1), OFFSET])
     belief.add(Block("wheels", np.zeros(3), np.diag([1e-3, 2e-3, 3e-3]), np.zeros(3)))
     belief.drive_with("wheels")
     J = np.array([[0.15, 0.15, 0.0], [0.0, 0.0, 0.0], [-0.5, 0.5, -0.3]])
@@ -380,8 +375,7 @@ def turned(angle: float) -> Array:
 
 def with_kept_pose_and_point() -> tuple[JointBelief, int]:
     """A belief that keeps a pose and a heading of earlier instants, and a point seen on the way: its column."""
-    sizes = ("kept", 3), ("heading", 1)
-    belief = JointBelief(START, P1, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
+    belief = JointBelief(START, P1, [empty("kept", 3), empty("heading", 1)])
     belief.clone_pose(3)
     belief.predict(STEP, 0)
     belief.clone_heading(6)
@@ -407,8 +401,7 @@ def test_a_kept_pose_and_a_point_are_seen_from_where_the_frame_begins() -> None:
 
 def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() -> None:
     """The pose was wrong all along: a kept heading and a kept pose were wrong by the same."""
-    sizes = ("heading", 1), ("pose", 3)
-    belief = JointBelief(START, P1, [Block(name, np.zeros(k), np.zeros((k, k)), np.zeros(k)) for name, k in sizes])
+    belief = JointBelief(START, P1, [empty("heading", 1), empty("pose", 3)])
     belief.clone_heading(3)
     belief.clone_pose(4)
     belief.predict(STEP, 0)
@@ -427,7 +420,7 @@ def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() 
 
 def test_a_pose_that_is_only_tried_leaves_every_bit_of_the_belief_as_it_was() -> None:
     """A kept heading that has fallen behind is no copy of the pose any more, and must not become one again."""
-    belief = JointBelief(START, P1, [Block("heading", np.zeros(1), np.zeros((1, 1)), np.zeros(1))])
+    belief = JointBelief(START, P1, [empty("heading", 1)])
     belief.clone_heading(3)
     belief.predict(STEP, 0)
     x, P = belief.state.copy(), belief.covariance.copy()

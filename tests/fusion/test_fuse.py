@@ -14,11 +14,11 @@ from textbook import TextbookEkf, move, numeric_jacobian, wrap
 from worlds import World, instants
 
 from locfuse import sample_logs
-from locfuse.cli.analysis.compare import Compared, compare_log
+from locfuse.cli.analysis.compare import compare_log
 from locfuse.cli.analysis.configurations import for_comparison
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import Asked, LogOptions
-from locfuse.fusion.data import VERDICTS, Array, ArrayStream, Drive, Estimates, MapLine, Measurements
+from locfuse.fusion.data import VERDICTS, Array, ArrayStream, Drive, Estimates, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import InMap
 from locfuse.fusion.fuse import Filter, due_readings, fuse, inflate, steps_of
@@ -174,24 +174,19 @@ def test_an_outlier_is_put_exactly_on_its_gate_and_keeps_its_prediction(before: 
     assert belief.equation([seen]).R[0, 0] == pytest.approx(1.0 / 9.0 - 0.01)  # y^2 / (H P H' + R) = 9
     assert (seen.nis, seen.y) == (9.0, (1.0,))
     assert seen.sigma[0] == pytest.approx(1.0 / 3.0)
-
-
-def test_a_reading_within_its_gate_stays_as_it_is() -> None:
-    belief = JointBelief((0.0,) * 3, (0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
-    seen = Told((0.1,), HEADING, ((0.01,),)).judged(belief, 9.0)
-    before = seen.verdict, seen.nis, seen.sigma
-    inflate(seen, belief)
-    assert (seen.verdict, seen.nis, seen.sigma) == before
-    assert belief.equation([seen]).R[0, 0] == 0.01
+    within = Told((0.1,), HEADING, ((0.01,),)).judged(belief, 9.0)
+    judged = within.verdict, within.nis, within.sigma
+    inflate(within, belief)  # one within its gate stays as it is
+    assert (within.verdict, within.nis, within.sigma) == judged
+    assert belief.equation([within]).R[-1, -1] == 0.01
 
 
 def test_heavy_tails_hurt_less_when_outliers_are_inflated() -> None:
     """A compass that is wrong by up to 40 degrees in a fifth of its readings, told that it is good to one."""
     errors = {}
     for outliers in ("reject", "inflate"):
-        world = World(
-            settings={"compass": {"outliers": outliers, "offset_deg": math.degrees(0.7)}}, wheel_noise=4e-3, seed=5
-        )
+        settings = {"compass": {"outliers": outliers, "offset_deg": math.degrees(0.7)}}
+        world = World(settings=settings, wheel_noise=4e-3, seed=5)
         streams, robot = world.streams(), world.robot()
         rng = np.random.default_rng(3)
         data = dict(streams["compass"].data)
@@ -256,13 +251,10 @@ def size(table: Any) -> int:
     return sum(column.nbytes for column in columns if isinstance(column, np.ndarray))
 
 
-@pytest.fixture(scope="module")
-def compared() -> Compared:
+def test_audits_end_with_the_judgement_and_a_few_numbers_an_instant_remain() -> None:
     loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(quiet=True))
-    return compare_log(loaded, for_comparison((), loaded.drive), Asked(audits=False), lambda _: None, draws=True)
-
-
-def test_audits_end_with_the_judgement_and_a_few_numbers_an_instant_remain(compared: Compared) -> None:
+    configurations, how = for_comparison((), loaded.drive), Asked(audits=False)
+    compared = compare_log(loaded, configurations, how, lambda _: None, draws=True)
     assert compared.drawn.nis.keys() == {(e.name, s) for e in compared.estimates for s in e.sensors}
     assert not any(e.audits for e in (*compared.estimates, *(run.estimates for run in compared.runs)))
     truth = present(compared.loaded.drive.truth)
@@ -297,9 +289,8 @@ def run_of(drive: Drive, robot: Robot, sensors: list[str]) -> Filter:
 @pytest.mark.parametrize("mode", ["first-scan", "refine", "grow"])
 def test_the_way_within_the_frame_does_not_depend_on_the_start_bit_for_bit(mode: str) -> None:
     drive, robot = drive_of({"lrf": {"map": mode}}, 6.0)
-    runs = [
-        run_of(drive, begun(robot, sigma, off), ["lrf"]) for sigma, off in ((2.0, 0.0), (5.0, 40.0), (20.0, -9.0))
-    ]
+    starts = ((2.0, 0.0), (5.0, 40.0), (20.0, -9.0))
+    runs = [run_of(drive, begun(robot, sigma, off), ["lrf"]) for sigma, off in starts]
     one, *others = [run.belief for run in runs]
     for other in others:
         assert other.pose() == one.pose()
@@ -325,18 +316,12 @@ def test_no_scan_says_where_north_is() -> None:
     assert (np.sqrt(found.triangles[first:, 5]) > 0.999 * heading).all()
 
 
-def late(m: Measurements, after: float) -> Measurements:
-    return m.take(np.flatnonzero(m.t > after))
-
-
 def test_a_compass_that_begins_late_turns_the_map_and_bends_nothing() -> None:
     drive, robot = drive_of(KNOWN)
-    compass = late(drive.measurements["compass"], 6.0)
-    drive = replace(
-        drive,
-        measurements={**drive.measurements, "compass": compass},
-        instant={**drive.instant, "compass": np.searchsorted(drive.t, compass.t)},
-    )
+    compass = drive.measurements["compass"]
+    late = compass.take(np.flatnonzero(compass.t > 6.0))
+    instant = {**drive.instant, "compass": np.searchsorted(drive.t, late.t)}
+    drive = replace(drive, measurements={**drive.measurements, "compass": late}, instant=instant)
     robot = begun(robot, 20.0, 25.0, 0.05)
     alone = fuse(drive, robot, ["lrf"])
     filtered, smoothed = fuse_and_smooth(drive, robot, ["compass", "lrf"])

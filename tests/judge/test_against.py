@@ -14,32 +14,14 @@ from scipy import stats
 from locfuse import sample_logs
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
-from locfuse.fusion import se2
-from locfuse.fusion.data import (
-    FAULT,
-    JUMP,
-    LOOP,
-    LOOP_TAKEN,
-    LOST,
-    REFUSED,
-    REST,
-    SLIP,
-    VERDICTS,
-    Audit,
-    Drive,
-    Estimates,
-    Jump,
-    Measurements,
-    Motions,
-    stretches,
-    upper_triangles,
-)
+from locfuse.fusion import data, se2
+from locfuse.fusion.data import Audit, Drive, Estimates, Jump, Measurements, Motions, stretches, upper_triangles
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.against import Reference, interpolated
 from locfuse.fusion.judge.credit import Effect
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
-from locfuse.fusion.judge.own_scans import Distance, OwnScanFigures, OwnScans, is_better
+from locfuse.fusion.judge.own_scans import Distance, OwnScans
 from locfuse.fusion.judge.predictive import OUTLIER_SHARE, contradictions, listeners, log_density, ranking, scores
 from locfuse.fusion.robot import Robot
 
@@ -81,8 +63,7 @@ def test_errors_are_distances_to_the_reference_and_no_claim_is_made_of_consisten
     assert found.reference
     assert found.figures["position_rmse_m"] == pytest.approx(0.5)
     assert found.figures["heading_rmse_deg"] == pytest.approx(math.degrees(0.01))
-    assert found.figures["anees"] is None
-    assert found.figures["truth_coverage"] is None
+    assert (found.figures["anees"], found.figures["truth_coverage"]) == (None, None)
     assert np.isnan(found.nees).all()
 
 
@@ -124,13 +105,11 @@ def test_the_widened_interval_has_the_true_ratio_whether_or_not_errors_are_share
     wrong = rng.normal(size=(N, 2)) * SIGMA
     if shares:
         after = after + wrong  # what is measured is then without the error that both have
-    rms = {
-        "before": np.sqrt(((own - wrong) ** 2).sum(axis=1).mean()),
-        "after": np.sqrt(((after - wrong) ** 2).sum(axis=1).mean()),
-    }
-    true = math.log(np.sqrt((own**2).sum(axis=1).mean()) / np.sqrt((after**2).sum(axis=1).mean()))
-    value = math.log(rms["before"] / rms["after"])
-    found = reference().widened(Effect(value, value, value, None), float(rms["before"]), float(rms["after"]))
+    before, now, true_before, true_now = (
+        math.sqrt((errors**2).sum(axis=1).mean()) for errors in (own - wrong, after - wrong, own, after)
+    )
+    true, value = math.log(true_before / true_now), math.log(before / now)
+    found = reference().widened(Effect(value, value, value, None), before, now)
     chance = 0.02  # where errors are shared the bound is what is expected, and so many draws miss it by this
     assert found.low - chance < true < found.high + chance
     assert found.high - found.low < 0.3
@@ -159,14 +138,9 @@ def test_a_wall_that_is_seen_twice_fills_more_cells_than_one() -> None:
     sharp, blurred = (scans.judge(path)[1] for scans, path in (twice(0.0), twice(0.2)))
     assert 119 <= sharp <= 123  # 6 m of wall in cells of 5 cm
     assert 1.9 * sharp < blurred < 2.1 * sharp
-
-
-def test_where_no_place_was_seen_twice_nothing_is_said() -> None:
-    scans, path = twice(0.0)
-    first = OwnScans(scans.t[:10], scans.instants[:10], scans.points[:10], scans.mount)
-    assert first.judge(path)[0] is None
-    alone = OwnScans(scans.t[:1], scans.instants[:1], scans.points[:1], scans.mount)
-    assert alone.judge(path)[2] == 1.0
+    scans, path = twice(0.0)  # and where no place was seen twice nothing is said
+    first, alone = (OwnScans(scans.t[:n], scans.instants[:n], scans.points[:n], scans.mount) for n in (10, 1))
+    assert (first.judge(path)[0], alone.judge(path)[2]) == (None, 1.0)
 
 
 def test_two_paths_are_laid_on_each_other_before_they_are_compared() -> None:
@@ -181,21 +155,6 @@ def test_two_paths_are_laid_on_each_other_before_they_are_compared() -> None:
     assert 0.9 < found.max < 1.0
     assert found.doubted(20.0)
     assert not found.doubted(200.0)
-
-
-def test_a_path_is_better_and_a_covariance_too_small_only_where_scans_prove_it() -> None:
-    assert is_better(0.3, 0.55)
-    assert is_better(0.8, 0.8)
-    assert not is_better(0.5, 0.6)
-    assert not is_better(0.9, 0.8)
-    assert not is_better(None, 0.9)
-    apart = Distance(0.2, 0.4, 10.0)
-    assert OwnScanFigures(0.5, None, apart, claimed_m=0.1).is_overconfident
-    assert not OwnScanFigures(0.5, None, apart, claimed_m=0.15).is_overconfident
-    assert not OwnScanFigures(
-        0.5, None, Distance(0.04, 0.1, 10.0), claimed_m=0.01
-    ).is_overconfident  # it could be chance
-    assert not OwnScanFigures(0.5, None, claimed_m=0.0).is_overconfident
 
 
 # --- listening, scoring and ranking without truth, and thinning a sensor
@@ -288,19 +247,14 @@ def test_a_biased_compass_and_a_laser_contradict_each_other(seed: int) -> None:
 # --- what happened when: rest, refusals in a row, being lost, labelled faults
 
 
-def resting(drive: Drive, first: int, last: int) -> Drive:
-    """The drive with wheels that stand in the intervals first..last."""
-    u = drive.motions.u.copy()
-    u[first : last + 1] = 0.0
-    return replace(drive, motions=replace(drive.motions, u=u))
-
-
 def test_a_rest_is_as_long_as_the_wheels_stand() -> None:
     drive = small_drive.drive(1, small_drive.robot(), laps=0.5)
     first = 40
     last = first + int(np.searchsorted(drive.t[first:] - drive.t[first - 1], 3.0))
-    (event,) = events_of_drive(resting(drive, first, last))
-    assert event.kind == REST
+    u = drive.motions.u.copy()
+    u[first : last + 1] = 0.0
+    (event,) = events_of_drive(replace(drive, motions=replace(drive.motions, u=u)))
+    assert event.kind == data.REST
     assert (event.start, event.end) == (drive.t[first - 1], drive.t[last])
 
 
@@ -310,10 +264,10 @@ def test_readings_refused_in_a_row_are_told(refused: int, told: int) -> None:
     drive = small_drive.drive(1, robot, laps=0.5)
     run = fuse(drive, robot, ["compass"])
     audit = run.audits["compass"]
-    verdict = np.full_like(audit.verdict, VERDICTS.index("accepted"))
-    verdict[10 : 10 + refused] = VERDICTS.index("gate")
+    verdict = np.full_like(audit.verdict, data.VERDICTS.index("accepted"))
+    verdict[10 : 10 + refused] = data.VERDICTS.index("gate")
     changed = replace(run, audits={"compass": replace(audit, verdict=verdict)})
-    events = [e for e in events_of_run(drive, changed) if e.kind == REFUSED]
+    events = [e for e in events_of_run(drive, changed) if e.kind == data.REFUSED]
     assert len(events) == told
     for event in events:
         times = drive.t[drive.instant["compass"]]
@@ -331,37 +285,34 @@ def test_a_reading_counts_as_taken_by_any_of_its_lines_and_an_empty_scan_does_no
     first = np.array([0, 2, 4, 6, 8, 10, 10, 12, 14, 16])
     m = Measurements(np.arange(9.0), first, np.zeros((16, 2)), np.ones((16, 2, 2)), 1.0, np.zeros((2, 2)))
     for taken, told in (("accepted", 1), ("new", 1), ("repeated", 1), ("unmatched", 0)):
-        verdict = np.full(16, VERDICTS.index("gate"), np.int8)
-        verdict[[5, 15]] = VERDICTS.index(taken)
+        verdict = np.full(16, data.VERDICTS.index("gate"), np.int8)
+        verdict[[5, 15]] = data.VERDICTS.index(taken)
         instant, zero, zeros = first[:-1].repeat(np.diff(first)), np.zeros(16), np.zeros((16, 2))
         audit = Audit(instant, np.arange(16), verdict, np.full(16, -1), zero, zero, zeros, zeros)
         drive = rolled([MOVED] * 9)
         drive = replace(drive, measurements={"lrf": m}, instant={"lrf": np.arange(9)})
         run = Estimates("lrf", ("lrf",), drive.t, np.zeros((9, 3)), np.zeros((9, 6)), {"lrf": audit})
         found = [(e.start, e.end) for e in events_of_run(drive, run)]
-        if told:
-            assert found == []  # two before, and four behind it
-        else:
-            assert found == [(0.0, 4.0)]
+        assert found == ([] if told else [(0.0, 4.0)])  # two before, and four behind it
 
 
 def test_being_lost_jumps_and_loops_are_told_with_their_times() -> None:
     robot = small_drive.robot()
-    drive = small_drive.drive(1, robot, laps=0.1)
-    run = replace(fuse(drive, robot, []), lost=((1.0, 2.5),))
-    (event,) = events_of_run(drive, run)
-    assert (event.start, event.end, event.kind, event.configuration) == (1.0, 2.5, LOST, "odometry")
-    drive = small_drive.drive(1, small_drive.robot(), laps=0.1)
-    jumps = (Jump(1.5, SLIP, (0.0, 0.0, np.radians(-8.0))), Jump(2.0, LOOP_TAKEN, (0.3, 0.4, 0.0)))
-    first, second = events_of_run(drive, replace(fuse(drive, small_drive.robot(), []), jumps=jumps))
-    assert (first.start, first.end, first.kind) == (1.5, 1.5, JUMP)
+    drive = small_drive.drive(1, robot, laps=0.5)
+    odometry = fuse(drive, robot, [])
+    (event,) = events_of_run(drive, replace(odometry, lost=((1.0, 2.5),)))
+    assert (event.start, event.end, event.kind, event.configuration) == (1.0, 2.5, data.LOST, "odometry")
+    jumps = (
+        Jump(1.5, data.SLIP, (0.0, 0.0, np.radians(-8.0))),
+        Jump(2.0, data.LOOP_TAKEN, (0.3, 0.4, 0.0)),
+    )
+    first, second = events_of_run(drive, replace(odometry, jumps=jumps))
+    assert (first.start, first.end, first.kind) == (1.5, 1.5, data.JUMP)
     assert first.words == "wheel slip undone: moved 0.00 m, turned -8.0°"
     assert second.words == "loop closed: moved 0.50 m, turned +0.0°"
-    drive = small_drive.drive(1, small_drive.robot(), laps=0.5)
     loops = np.array([(1.0, 40.0), (3.5, 42.0), (2.0, 60.0)])
-    run = replace(fuse(drive, small_drive.robot(), []), loops=loops)
-    first, second = events_of_run(drive, run)
-    assert (first.start, first.end, first.kind) == (40.0, 42.0, LOOP)
+    first, second = events_of_run(drive, replace(odometry, loops=loops))
+    assert (first.start, first.end, first.kind) == (40.0, 42.0, data.LOOP)
     assert first.words == "places of 1 to 4 s recognised"
     assert (second.start, second.end, second.words) == (60.0, 60.0, "the place of 2 s recognised")
 
@@ -369,6 +320,6 @@ def test_being_lost_jumps_and_loops_are_told_with_their_times() -> None:
 def test_the_faults_that_a_log_labels_are_events_with_their_times() -> None:
     loaded = load([sample_logs.path("disturbed")], LogOptions(quiet=True))
     kinds = {event.words.split(" ")[0]: event for event in loaded.labels}
-    assert all(event.kind == FAULT for event in loaded.labels)
+    assert all(event.kind == data.FAULT for event in loaded.labels)
     assert {"people", "magnetic", "slip", "hidden_landmark", "red_object"} <= set(kinds)
     assert kinds["magnetic"].end - kinds["magnetic"].start == pytest.approx(13.0, abs=2.0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import small_drive
-from commands import Reported, reported
+from commands import reported
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from present import present
@@ -30,7 +30,6 @@ from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.innovations import (
     MAX_COMPARED_READINGS,
     STRETCH_READINGS,
-    ComparedReadings,
     _agreement,
     _sampled,
     compare_readings,
@@ -42,14 +41,14 @@ from locfuse.fusion.truth import body_poses
 
 
 def scalar_filter(
-    seed: int, q: float, r: float, told: float, n: int = 2000, gate: float = 15.1, q_told: float | None = None
+    seed: int, q: float, r: float, told: float, n: int = 2000, gate: float = 15.1
 ) -> tuple[Audit, Measurements]:
     rng = np.random.default_rng(seed)
     x, found, P = 0.0, 0.0, 0.0
     rows = []
     for k in range(n):
         x += math.sqrt(q) * rng.normal()
-        P += q if q_told is None else q_told
+        P += q
         y, S = x + math.sqrt(r) * rng.normal() - found, P + told
         accepted = y * y / S <= gate
         rows.append((k, 0 if accepted else 1, y * y / S, y, math.sqrt(S)))
@@ -57,16 +56,8 @@ def scalar_filter(
             found += P / S * y
             P -= P * P / S
     k, verdict, nis, y, sigma = np.array(rows).T
-    audit = Audit(
-        k.astype(np.int64),
-        k.astype(np.int64),
-        verdict.astype(np.int8),
-        np.full(n, -1),
-        nis,
-        np.full(n, gate),
-        y[:, None],
-        sigma[:, None],
-    )
+    at, none = k.astype(np.int64), np.full(n, -1)
+    audit = Audit(at, at, verdict.astype(np.int8), none, nis, np.full(n, gate), y[:, None], sigma[:, None])
     m = Measurements(k, np.arange(n + 1), y[:, None], np.ones((n, 1, 1)), math.sqrt(told), np.zeros((1, 1)))
     return audit, m
 
@@ -74,10 +65,7 @@ def scalar_filter(
 @pytest.mark.parametrize("told", [0.25, 1.0, 4.0, 9.0])
 def test_the_noise_of_a_scalar_filter_is_found_whatever_it_was_told(told: float) -> None:
     """True variance 1: the factor asked for is 1 / told, though state and innovation share the error."""
-    factors = []
-    for seed in range(5):
-        o = present(own(*scalar_filter(seed, 0.01, 1.0, told)))
-        factors.append(o.scale * told)
+    factors = [present(own(*scalar_filter(seed, 0.01, 1.0, told))).scale * told for seed in range(5)]
     assert np.mean(factors) == pytest.approx(1.0, rel=0.25)
 
 
@@ -91,16 +79,11 @@ def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
 
 
 def complaints(robot: Robot, drive: Drive) -> dict[str, Consistency]:
-    runs = [
-        RunInnovations.of(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))
-    ]
-    found = judge(runs, robot)
+    sets: list[tuple[str, ...]] = [(), ("compass",), ("lrf",), ("compass", "lrf")]
+    found = judge([RunInnovations.of(drive, fuse(drive, robot, s)) for s in sets], robot)
     assert set(found) == {"odometry", "compass", "lrf", "all"}
     assert found["odometry"] == {}
-    assert {s: c.words for s, c in found["all"].items()} == {
-        "compass": found["compass"]["compass"].words,
-        "lrf": found["lrf"]["lrf"].words,
-    }
+    assert {s: c.words for s, c in found["all"].items()} == {s: found[s][s].words for s in ("compass", "lrf")}
     return found["all"]
 
 
@@ -216,14 +199,9 @@ def test_over_confidence_is_said_by_state_and_only_errors_of_a_regular_claim_cou
         assert (covariance_check(judged_with(errors[:n], 1.0)) is not None) is known
 
 
-@pytest.fixture(scope="module")
-def report() -> Reported:
+def test_the_report_carries_verdicts_figures_and_words() -> None:
     words = ("--to", "32", "--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
-    return reported("compare", "rounded_rectangle", *words)
-
-
-def test_the_report_carries_verdicts_figures_and_words(report: Reported) -> None:
-    found, stdout, _, out = report
+    found, stdout, _, out = reported("compare", "rounded_rectangle", *words)
     mine = found["configurations"]["all"]["sensors"]["compass"]["consistency"]
     assert {"verdict", "words", "nis_bounds", "bias_sigma", "whiteness", "scale"} <= set(mine)
     assert mine["verdict"] == "biased"
@@ -247,9 +225,8 @@ def test_an_overconfident_sensor_is_not_to_be_trusted_more(anees: tuple[float, .
     judged = unless_overconfident(found, [CovarianceCheck(a, (0.5, 1.5)) for a in anees])
     assert (judged == found) == kept
     if not kept:
-        assert judged.words.startswith(
-            "residuals are 10 times smaller than configured, yet position errors are 2.0 times"
-        )
+        words = "residuals are 10 times smaller than configured, yet position errors are 2.0 times"
+        assert judged.words.startswith(words)
         assert not judged.fix_values
 
 
@@ -261,14 +238,8 @@ def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
     m = drive.measurements["compass"]
     disturbed = np.arange(len(m.t)) % 3 == 0
     moved = replace(m, z=m.z + 0.1 * disturbed[:, None], extra={"strength": np.where(disturbed, 2.0, 1.0)})
-    alone, spoiled = (
-        present(
-            compare_readings(
-                replace(drive, measurements={**drive.measurements, "compass": x}), robot, run, "compass"
-            )
-        )
-        for x in (m, moved)
-    )
+    seen = (replace(drive, measurements={**drive.measurements, "compass": x}) for x in (m, moved))
+    alone, spoiled = (present(compare_readings(one, robot, run, "compass")) for one in seen)
     assert alone.readings + round(alone.outlier_share * alone.readings) == pytest.approx(len(m.t), abs=2)
     assert spoiled.readings == pytest.approx(int((~disturbed).sum()), abs=2)
     assert spoiled.spread == pytest.approx(alone.spread, rel=0.2)
@@ -304,7 +275,6 @@ def test_a_wrong_run_accuses_no_right_sensor_and_an_offset_too_small_is_still_kn
     assert judge(runs(drive, robot, 3.0), robot)["compass"]["compass"].verdict == "consistent"
     blind = replace(drive, truth=None)
     assert judge(runs(blind, robot, 3.0), robot)["compass"]["compass"].verdict != "consistent"
-    drive, robot = right
     found = present(NoiseEvidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
     assert found.fix_values["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
     assert NoiseEvidence(runs(drive, robot, 0.0), robot).bias("compass") is None
@@ -317,9 +287,7 @@ def test_an_offset_is_measured_against_the_truth(right: tuple[Drive, Robot], off
     assert found.verdict == "biased"
     # of some hundred readings of half a degree
     assert found.fix_values["compass.offset_deg"] == pytest.approx(off_deg, abs=0.15)
-    assert (
-        "compass.sigma_offset_deg" not in found.fix_values
-    )  # the truth is exact: nothing but the readings' own noise
+    assert "compass.sigma_offset_deg" not in found.fix_values  # the truth is exact
 
 
 def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(right: tuple[Drive, Robot]) -> None:
@@ -362,9 +330,8 @@ def test_a_truth_is_no_reference_where_it_has_a_gap_or_another_frame(right: tupl
 
 # --- the figures of innovations, held to the same figures written out with NumPy and SciPy
 
-ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
-    VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
-)
+NAMES = ("accepted", "gate", "unmatched", "disturbed", "lost")
+ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = map(VERDICTS.index, NAMES)
 LAGS = 5
 
 
@@ -382,13 +349,9 @@ def audited(
 
 def autocorrelation(series: list[Array], lags: int) -> Array:
     """At lags 1.. of several series (k, d) of one variance, pairs within each."""
-    every = np.concatenate(series)
-    return np.array(
-        [
-            (np.concatenate([s[lag:] * s[:-lag] for s in series]).mean(axis=0) / (every**2).mean(axis=0)).mean()
-            for lag in range(1, lags + 1)
-        ]
-    )
+    variance = (np.concatenate(series) ** 2).mean(axis=0)
+    products = ([s[lag:] * s[:-lag] for s in series] for lag in range(1, lags + 1))
+    return np.array([(np.concatenate(pairs).mean(axis=0) / variance).mean() for pairs in products])
 
 
 def memory(correlation: Array) -> float:
@@ -451,12 +414,6 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     assert found.scale == pytest.approx(found.raw * np.clip(1.0 - white[0] * ratio, 0.3, 2.0))
 
 
-def agreed(
-    t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False
-) -> ComparedReadings:
-    return present(_agreement(np.column_stack((t, y, h, R, 0.1 * t)), unknown, angular))
-
-
 @pytest.mark.parametrize("angular", [False, True])
 @pytest.mark.parametrize("keep", [0.0, 0.9])
 def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: bool) -> None:
@@ -469,7 +426,7 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
     y[wild] += 2.0
     seen = np.angle(np.exp(1j * y)) if angular else y
     h, R = 0.01 + 0.001 * rng.random(n), 0.002 + 0.001 * rng.random(n)
-    found = agreed(t, seen, h, R, angular=angular)
+    found = present(_agreement(np.column_stack((t, seen, h, R, 0.1 * t)), False, angular))
     tame = ~wild
     some = y[tame]
     assert found.readings == tame.sum()
@@ -498,8 +455,7 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
 def test_of_many_readings_some_stretches_of_neighbours_are_heard() -> None:
     np.testing.assert_array_equal(_sampled(MAX_COMPARED_READINGS), np.arange(MAX_COMPARED_READINGS))
     found = _sampled(MAX_COMPARED_READINGS + 1)
-    assert found[0] == 0
-    assert found[-1] == MAX_COMPARED_READINGS
+    assert (found[0], found[-1]) == (0, MAX_COMPARED_READINGS)
     stretches = _sampled(100_000).reshape(-1, STRETCH_READINGS)
     assert len(stretches) == MAX_COMPARED_READINGS // STRETCH_READINGS
     assert (np.diff(stretches, axis=1) == 1).all()

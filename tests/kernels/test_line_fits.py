@@ -28,21 +28,9 @@ WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
 Wall = tuple[float, float, float, float]
 
 
-def directions(wall: Wall, beams: int) -> Array:
-    """Beam angles, evenly spaced, that a sensor at the origin sends to a wall."""
-    r, psi, lo, hi = wall
-    return psi + np.linspace(math.atan2(lo, r), math.atan2(hi, r), beams)
-
-
 def ranges(r: float, psi: float, angle: Array, ox: Array, oy: Array) -> Array:
     """Distance from (ox, oy) along `angle` to the line: the ray equation, solved for the range."""
     return np.asarray((r - ox * math.cos(psi) - oy * math.sin(psi)) / np.cos(angle - psi))
-
-
-def moving(beams: int, side: float) -> tuple[Array, Array]:
-    """Beam origins of a laser that drives 10 cm during one scan, on a curve to one side."""
-    t = np.linspace(-0.5, 0.5, beams)
-    return 0.1 * t, side * t * t
 
 
 class Rays(NamedTuple):
@@ -80,10 +68,12 @@ def fit(rays: Rays, r: float, psi: float, ratio: float, steps: int = 2) -> Fit:
 
 def seen(wall: Wall, side: float | None) -> Rays:
     """A noisy view of a wall: every beam really leaves at a wrong angle, and its range is wrong too."""
-    rng, nominal = np.random.default_rng(1), directions(wall, 60)
-    ox, oy = (np.zeros(60), np.zeros(60)) if side is None else moving(60, side)
+    rng, (r, psi, lo, hi) = np.random.default_rng(1), wall
+    nominal = psi + np.linspace(math.atan2(lo, r), math.atan2(hi, r), 60)
+    t: Array = np.linspace(-0.5, 0.5, 60) * (side is not None)  # the laser drives 10 cm, on a curve to one side
+    ox, oy = 0.1 * t, (side or 0.0) * t * t
     real = nominal + rng.normal(0.0, SIGMA_ANGLE, 60)
-    d = ranges(wall[0], wall[1], real, ox, oy) + rng.normal(0.0, SIGMA_RANGE, 60)
+    d = ranges(r, psi, real, ox, oy) + rng.normal(0.0, SIGMA_RANGE, 60)
     return Rays(d, np.cos(nominal), np.sin(nominal), ox, oy)
 
 
@@ -324,17 +314,11 @@ def allowed(d: float, before: float) -> float:
     return max(0.3, 0.1 * max(d, before))
 
 
-def cluster(seed: int, k: int = 40) -> tuple[Array, Array, Array]:
-    """Ranges, and end points that mostly lie near each other."""
-    rng = np.random.default_rng(seed)
-    d = rng.uniform(0.5, 8.0, k)
-    x, y = np.cumsum(rng.choice([0.05, 0.2, 0.45, 0.9], k)), np.cumsum(rng.choice([0.0, 0.05, -0.4], k))
-    return d, x, y
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_runs_end_where_neighbours_lie_farther_apart_than_a_wall_allows(seed: int) -> None:
-    d, x, y = cluster(seed)
+    rng = np.random.default_rng(seed)
+    d = rng.uniform(0.5, 8.0, 40)
+    x, y = np.cumsum(rng.choice([0.05, 0.2, 0.45, 0.9], 40)), np.cumsum(rng.choice([0.0, 0.05, -0.4], 40))
     returns, runs = returns_of(ranges=d, x=x, y=y), segments.Segments(40)
     segments.cut_at_gaps(returns, 0.1, 0.3, runs)
     apart = np.hypot(np.diff(x), np.diff(y))

@@ -4,23 +4,9 @@ import math
 from collections import Counter
 from typing import Any
 
+import line_scene
 import numpy as np
 import pytest
-from line_scene import (
-    AMBIGUOUS,
-    MOUNT,
-    MOVED,
-    NEW,
-    UNMATCHED,
-    UPPER,
-    Pair,
-    Sighted,
-    equation_of,
-    mounted_states,
-    scene,
-    side_of,
-    sighted,
-)
 from rows import over_states, written
 from textbook import numeric_jacobian
 
@@ -40,12 +26,12 @@ FREE = pytest.mark.parametrize("free", [(), (2,), (0, 1), (1, 2), (0, 1, 2)])
 
 def setting(
     seed: int, states: bool, free: tuple[int, ...] = (), gate: float = ZONE, parts: int = 0
-) -> tuple[Sighted, LineMap, JointBelief, Array]:
+) -> tuple[line_scene.Sighted, LineMap, JointBelief, Array]:
     """A scan that was associated in a random scene, by a laser at a known mount or not; what its lines share."""
-    scan, lines, belief = scene(seed, states)
-    mount_states = mounted_states(belief, free) if free else None
+    scan, lines, belief = line_scene.scene(seed, states)
+    mount_states = line_scene.mounted_states(belief, free) if free else None
     shared = np.random.default_rng(seed).normal(0.0, 0.01, (len(scan.z), 2, parts))
-    return sighted(scan.rows, lines, belief, gate, states, mount_states, shared), lines, belief, shared
+    return line_scene.sighted(scan.rows, lines, belief, gate, states, mount_states, shared), lines, belief, shared
 
 
 # --- candidate pairs
@@ -53,14 +39,14 @@ def setting(
 
 def by_mount(free: tuple[int, ...], psi: float) -> Array:
     """By how much the (r, psi) that is predicted depends on the free states of the mount as it is."""
-    sits = MOUNT + np.where(np.isin(range(3), free), MOVED, 0.0)
+    sits = line_scene.MOUNT + np.where(np.isin(range(3), free), line_scene.MOVED, 0.0)
     c, s = math.cos(psi), math.sin(psi)
     whole = np.array([[-c, -s, sits[0] * s - sits[1] * c], [0.0, 0.0, -1.0]])
     return np.asarray(whole[:, list(free)])
 
 
 def by_matrices(
-    found: Sighted, lines: LineMap, belief: JointBelief, limit: float, free: tuple[int, ...] = ()
+    found: line_scene.Sighted, lines: LineMap, belief: JointBelief, limit: float, free: tuple[int, ...] = ()
 ) -> dict[tuple[int, int], dict[str, Any]]:
     """Every pair with H written out over the whole state, and R: maths of the field, no short cut."""
     state, P = belief.state, belief.covariance
@@ -114,7 +100,7 @@ def test_pairs_are_those_that_matrices_give(gate: float, states: bool, free: tup
             np.testing.assert_allclose((pair.lo, pair.hi, pair.overlap), known["ends"], atol=1e-11)
             assert pair.d2 == pytest.approx(known["d2"], rel=1e-7, abs=1e-9)
             assert pair.score == pytest.approx(known["score"], rel=1e-7, abs=1e-7)
-            flipped += side_of(pair, found.in_base()[pair.line]) < 0.0
+            flipped += line_scene.side_of(pair, found.in_base()[pair.line]) < 0.0
         count += len(found.pair_list)
     assert count > 60
     assert flipped > 6
@@ -125,9 +111,11 @@ def test_ends_lie_along_the_map_line_and_overlap_where_the_segments_do() -> None
     lines.append(np.array([2.0, 1.0]), np.zeros(2), np.eye(2) * 1e-4, -1, (-1.0, 1.0), 0)  # x = 2, y from 0 to 2
     R = np.array([np.eye(2) * 1e-4])
 
-    def pairs(pose: tuple[float, float, float], z: tuple[float, float], ends: tuple[float, float]) -> list[Pair]:
+    def pairs(
+        pose: tuple[float, float, float], z: tuple[float, float], ends: tuple[float, float]
+    ) -> list[line_scene.Pair]:
         rows = Scan.of(np.array([z]), R, np.array([ends])).rows
-        return sighted(rows, lines, JointBelief(pose, UPPER), math.inf, False).pair_list
+        return line_scene.sighted(rows, lines, JointBelief(pose, line_scene.UPPER), math.inf, False).pair_list
 
     (pair,) = pairs((0.0, 0.5, 0.0), (2.0, 0.0), (-1.5, 1.0))  # y from -1 to 1.5
     assert (pair.lo, pair.hi, pair.overlap) == pytest.approx((-2.0, 0.5, 1.5))
@@ -140,17 +128,17 @@ def test_ends_lie_along_the_map_line_and_overlap_where_the_segments_do() -> None
 
 @pytest.mark.parametrize("pose", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf), (1e200, 0.0, 0.0), (0.0, 0.0, 1e30)])
 def test_a_pose_that_is_none_has_no_pairs(pose: tuple[float, float, float]) -> None:
-    scan, lines, _ = scene(1, states=False)
-    assert sighted(scan.rows, lines, JointBelief(pose, UPPER), ZONE, False).pair_list == []
+    scan, lines, _ = line_scene.scene(1, states=False)
+    assert line_scene.sighted(scan.rows, lines, JointBelief(pose, line_scene.UPPER), ZONE, False).pair_list == []
 
 
 # --- association
 
 
-def by_rule(found: Sighted, gate: float) -> tuple[list[Pair | None], list[bool], list[bool]]:
+def by_rule(found: line_scene.Sighted, gate: float) -> tuple[list[line_scene.Pair | None], list[bool], list[bool]]:
     """The rule in words: of pairs that pass, the best, unless another explains the line as well."""
     length = np.ptp(Scan(found.in_base()).ends, axis=1)
-    match: list[Pair | None] = [None] * len(length)
+    match: list[line_scene.Pair | None] = [None] * len(length)
     ambiguous, near = [False] * len(length), [False] * len(length)
     for i in range(len(length)):
         own = sorted((p for p in found.pair_list if p.line == i), key=lambda p: p.score)
@@ -159,7 +147,7 @@ def by_rule(found: Sighted, gate: float) -> tuple[list[Pair | None], list[bool],
         if passing:
             match[i] = passing[0]
             ambiguous[i] = any(p.score - passing[0].score < RIVAL for p in passing[1:])
-    claimed: list[Pair] = []
+    claimed: list[line_scene.Pair] = []
     for p in sorted((p for p in match if p is not None), key=lambda p: p.score):
         same = [q for q in claimed if q.which == p.which]
         if any(min(p.hi, q.hi) - max(p.lo, q.lo) > COMMON for q in same):
@@ -189,26 +177,24 @@ def test_matches_are_those_of_the_rule(states: bool, gate: float) -> None:
     assert doubtful > 10
 
 
-def two_lines(offset: float, turn: float, sigma: tuple[float, float], others: int = 1) -> Sighted:
+def two_lines(offset: float, turn: float, sigma: tuple[float, float], others: int = 1) -> line_scene.Sighted:
     """A wall 2 m ahead seen off by so much, with such errors, from a pose that is known; and lines of no wall."""
     lines, belief = LineMap(), JointBelief((0.0, 0.0, 0.0), (1e-18, 0.0, 0.0, 1e-18, 0.0, 1e-18))
     lines.append(np.array([2.0, 0.0]), np.zeros(2), 1e-18 * np.eye(2), -1, (-1.0, 1.0), 0)
     z = np.array([[2.0 + offset, turn], *[[1.0, 1.5]] * others])
     R = np.tile(np.diag(np.square(sigma)), (len(z), 1, 1))
-    return sighted(Scan.of(z, R, np.tile((-1.0, 1.0), (len(z), 1))).rows, lines, belief, 13.8, False)
+    return line_scene.sighted(Scan.of(z, R, np.tile((-1.0, 1.0), (len(z), 1))).rows, lines, belief, 13.8, False)
 
 
 @pytest.mark.parametrize(
     ("offset", "turn_deg", "sigma_deg", "sigma", "believed"),
-    [
-        (0.01 * math.sqrt(4.9), 0.0, 1.0, 0.01, True),  # squared distance
-        (0.01 * math.sqrt(5.1), 0.0, 1.0, 0.01, False),
-        (0.0, 2.9, 2.0, 0.1, True),
-        (0.0, -3.1, 2.0, 0.1, False),
-        (0.145, 0.0, 1.0, 0.1, True),
-        (-0.155, 0.0, 1.0, 0.1, False),
-    ],
-)
+    [(0.01 * math.sqrt(4.9), 0.0, 1.0, 0.01, True),  # squared distance
+     (0.01 * math.sqrt(5.1), 0.0, 1.0, 0.01, False),
+     (0.0, 2.9, 2.0, 0.1, True),
+     (0.0, -3.1, 2.0, 0.1, False),
+     (0.145, 0.0, 1.0, 0.1, True),
+     (-0.155, 0.0, 1.0, 0.1, False)],
+)  # fmt: skip
 def test_a_lone_line_is_believed_where_it_fits_nearly_perfectly(
     offset: float, turn_deg: float, sigma_deg: float, sigma: float, believed: bool
 ) -> None:
@@ -232,9 +218,9 @@ def test_what_became_of_a_line_is_accepted_ambiguous_unmatched_or_new() -> None:
             if match >= 0:
                 expected = 0
             elif not near:
-                expected = NEW
+                expected = line_scene.NEW
             else:
-                expected = AMBIGUOUS if best >= 0 and found.ambiguous[i] else UNMATCHED
+                expected = line_scene.AMBIGUOUS if best >= 0 and found.ambiguous[i] else line_scene.UNMATCHED
             assert verdict == expected
             assert table.threshold[i] == 13.8
             if match >= 0 or (best >= 0 and near):
@@ -248,7 +234,7 @@ def test_what_became_of_a_line_is_accepted_ambiguous_unmatched_or_new() -> None:
             counts[verdict] += 1
         found.row = 7
         assert found.rows_used() == (7 + np.flatnonzero(table.verdict == 0)).tolist()
-    assert min(counts[verdict] for verdict in (0, AMBIGUOUS, UNMATCHED, NEW)) > 5
+    assert min(counts[verdict] for verdict in (0, line_scene.AMBIGUOUS, line_scene.UNMATCHED, line_scene.NEW)) > 5
 
 
 # --- rows of the equation
@@ -268,16 +254,16 @@ def measured_less_predicted(z: Array, sits: Array, value: Array, away: Array, x:
 def test_derivatives_of_a_scan_are_finite_differences(states: bool, free: tuple[int, ...]) -> None:
     """What is measured moves with the laser's mount, what is predicted with the pose and the lines."""
     sides = []
-    sits = MOUNT + np.where(np.isin(range(3), free), MOVED, 0.0)
+    sits = line_scene.MOUNT + np.where(np.isin(range(3), free), line_scene.MOVED, 0.0)
     for seed in range(40):
         found, lines, belief, _ = setting(seed, states, free)
         mounted, rows = list(range(belief.n - len(free), belief.n)), found.in_base()
-        equation = equation_of(found, belief)
+        equation = line_scene.equation_of(found, belief)
         H = over_states(equation.columns, equation.H, belief.n)
         for k, pair in enumerate(found.matched()):
             j, z, x = pair.which, rows[pair.line], belief.state.copy()
             own = [int(lines.column[j]), int(lines.column[j]) + 1] if states else []
-            side, columns = side_of(pair, z), [0, 1, 2, *own, *mounted]
+            side, columns = line_scene.side_of(pair, z), [0, 1, 2, *own, *mounted]
 
             def y(v: Array) -> Array:
                 now, moved = x.copy(), np.zeros(6)  # noqa: B023
@@ -308,12 +294,12 @@ def test_errors_that_lines_share_stand_between_them_in_R_and_nowhere_else(states
         found, _, belief, shared = setting(seed, states, parts=parts)
         matched, rows = found.matched(), found.in_base()
         assert (found.accepted, found.numbers) == (len(matched), 2 * len(matched))
-        sides = np.array([[side_of(p, rows[p.line]), 1.0] for p in matched]).reshape(-1, 2, 1)
+        sides = np.array([[line_scene.side_of(p, rows[p.line]), 1.0] for p in matched]).reshape(-1, 2, 1)
         G = (shared[[p.line for p in matched]] * sides).reshape(found.numbers, parts)
         expected = G @ G.T if states else np.zeros((found.numbers, found.numbers))
         for k, pair in enumerate(matched):
             expected[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = pair.R
-        R = equation_of(found, belief).R
+        R = line_scene.equation_of(found, belief).R
         np.testing.assert_allclose(R, expected, atol=1e-14)
         several, flipped = several + (len(matched) > 1), flipped + int((sides[:, 0] < 0.0).sum())
     assert several > 3
@@ -333,8 +319,8 @@ def test_a_scan_that_slipped_as_a_whole_is_likelier_than_its_lines_one_by_one() 
         for value in lines.value:
             belief.augment(value, np.zeros((2, 3)), 1e-6 * np.eye(2))
         shared = np.tile([[0.0], [alike]], (2, 1, 1))
-        found = sighted(rows, lines, belief, math.inf, True, shared=shared)
-        equation = equation_of(found, belief)
+        found = line_scene.sighted(rows, lines, belief, math.inf, True, shared=shared)
+        equation = line_scene.equation_of(found, belief)
         S = belief.spread(equation.H, equation.columns[3:].tolist()) + equation.R
         fits.append(belief.fit_of(0, 4))
         assert fits[-1] == pytest.approx(float(equation.y @ np.linalg.solve(S, equation.y)))

@@ -152,10 +152,6 @@ def test_beams_that_see_the_robot_itself_are_no_walls(body: float) -> None:
 # --- a laser that freezes: its driver sends one scan again and again
 
 
-def rows_of(stream: ArrayStream, rows: Array) -> ArrayStream:
-    return replace(stream, t_ns=stream.t_ns[rows], data={k: take(v, rows) for k, v in stream.data.items()})
-
-
 @pytest.mark.parametrize(("turns", "way"), [(True, True), (False, True), (True, False)])
 def test_copies_of_a_scan_while_the_wheels_move_are_no_measurements(*, turns: bool, way: bool) -> None:
     """As if the copies were not there; a robot that stands sees exactly the same, and its odometry may drift."""
@@ -167,7 +163,8 @@ def test_copies_of_a_scan_while_the_wheels_move_are_no_measurements(*, turns: bo
     t = 1e-9 * np.array(STAMPS)
     driven = Wheels.from_twists(t, twist, 0.3, 1e-4)
     found = Lrf().measure(stream, LrfSettings(), driven, 0)
-    expected = Lrf().measure(rows_of(right, left), LrfSettings(), driven, 0)
+    fewer = replace(right, t_ns=right.t_ns[left], data={k: take(v, left) for k, v in right.data.items()})
+    expected = Lrf().measure(fewer, LrfSettings(), driven, 0)
     assert found.dropped == {"repeat": n}
     for name in ("t", "first", "z", "R"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
@@ -207,14 +204,8 @@ class Blocks:
 
 def test_scans_beside_the_last_ones_are_not_read_again() -> None:
     stream = Blocks(scan_stream(range(SEEN), RANGES))
-    points = ScanPoints(
-        stream,  # type: ignore[arg-type]  # only its blocks are read
-        Lrf.reads[SCAN],
-        np.zeros(SEEN),
-        laser_of(LrfSettings()),
-        STANDING,
-        np.arange(SEEN),
-    )
+    how = np.zeros(SEEN), laser_of(LrfSettings()), STANDING, np.arange(SEEN)
+    points = ScanPoints(stream, Lrf.reads[SCAN], *how)  # type: ignore[arg-type]  # only its blocks are read
     # readings, and how many blocks are read by then: beside the last ones, over the end of a block, before it
     for readings, read in (([9, 10], 3), ([10, 11], 3), ([8, 9], 3), ([7, 8], 5), ([1, 0], 6), ([2, 3], 6)):
         found = points.read(np.array(readings))
@@ -246,9 +237,8 @@ def one_turn(before: Array, after: Array) -> float:
     """The weighted median turn of lines (k, 3) = (r, psi, variance) to their nearest, by loops."""
     found = []
     for r, psi, variance in before:
-        options = [
-            (((wrap(psi - q)) / 0.6) ** 2 + ((r - s) / 0.4) ** 2, wrap(psi - q), variance + v) for s, q, v in after
-        ]
+        turned = [(s, wrap(psi - q), v) for s, q, v in after]
+        options = [((w / 0.6) ** 2 + ((r - s) / 0.4) ** 2, w, variance + v) for s, w, v in turned]
         if options and min(options)[0] < 1.0:
             found.append(min(options)[1:])
     if not found:
@@ -368,13 +358,10 @@ def measured(wheels: Wheels, base: Array) -> Lines:
     ranges = seen_from(se2.compose(base, MOUNT))
     n = len(ranges)
     scans = {
-        "ranges": ranges,
-        "angle_min": np.full(n, ANGLES[0]),
-        "angle_increment": np.full(n, ANGLES[1] - ANGLES[0]),
-        "range_min": np.zeros(n),
-        "range_max": np.full(n, 100.0),
-        "time_increment": np.full(n, SWEEP / (BEAMS_A_SWEEP - 1)),
-    }
+        "ranges": ranges, "angle_min": np.full(n, ANGLES[0]), "angle_increment": np.full(n, ANGLES[1] - ANGLES[0]),
+        "range_min": np.zeros(n), "range_max": np.full(n, 100.0),
+        "time_increment": np.full(n, SWEEP / (BEAMS_A_SWEEP - 1))
+    }  # fmt: skip
     laser = Laser(MOUNT, False, 1.0, 0.0, None, True, LineSettings(sigma_range=0.01))
     return lines_in_base(scans, np.full(n, 1.0 - 0.5 * SWEEP), laser, wheels)[0]
 
@@ -440,14 +427,8 @@ def walls_of_slipping_scans(sweep: float, seed: int) -> tuple[float, float]:
     psi = np.tile([math.pi / 2, -math.pi / 2], (n, 1)) + slip + rng.normal(0.0, fit, (n, 2))
     z = np.stack((np.ones(2 * n), wrap_all(psi.ravel())), axis=-1)
     loadings = np.tile([(sweep, 0.0), (0.0, sweep)], (n, 1))
-    t, first, variance, wheels = (
-        np.arange(float(n)),
-        np.arange(n + 1) * 2,
-        np.full(2 * n, fit**2),
-        driven(0.0, 0.0),
-    )
-    without = wall_floor(t / n, first, z, variance, wheels)[1]
-    return without, wall_floor(t / n, first, z, variance, wheels, loadings)[1]
+    seen = np.arange(float(n)) / n, np.arange(n + 1) * 2, z, np.full(2 * n, fit**2), driven(0.0, 0.0)
+    return wall_floor(*seen)[1], wall_floor(*seen, loadings)[1]
 
 
 def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:

@@ -5,6 +5,7 @@ import math
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,20 +17,12 @@ from rows import step
 from textbook import move, numeric_jacobian
 from worlds import World, instants
 
-from locfuse.fusion.data import VERDICTS, Array, Drive, MapLine
+from locfuse.fusion.data import VERDICTS, Array, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.map.line_map import (
-    FLAT_SIGMAS,
-    MIN_HITS,
-    TRIAL_SCANS,
-    LineMap,
-    about_middle,
-    merge_doubles,
-    prune,
-)
+from locfuse.fusion.map import line_map
+from locfuse.fusion.map.line_map import LineMap, about_middle, merge_doubles, prune
 from locfuse.fusion.map.scan import SAME_D2, SAME_LENGTH, Scan, Standing
-from locfuse.fusion.robot import Robot
 
 
 def in_the_map(v: Array, anchor: Array) -> Array:
@@ -78,13 +71,7 @@ def test_lines_of_a_frozen_map_are_placed_as_finite_differences_say(seed: int) -
         assert_placed(line, np.concatenate((lines.value[j], frame)), lines.anchor[j], joint)
     still = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6)
     for j, line in enumerate(lines.lines(still)):
-        assert_placed(line, np.concatenate((lines.value[j], np.zeros(3))), lines.anchor[j], joint_of(lines.P[j]))
-
-
-def joint_of(P: Array) -> Array:
-    joint = np.zeros((5, 5))
-    joint[:2, :2] = P
-    return joint
+        assert_placed(line, np.append(lines.value[j], np.zeros(3)), lines.anchor[j], np.pad(lines.P[j], (0, 3)))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -167,7 +154,7 @@ def test_two_pieces_of_one_wall_become_their_weighted_mean() -> None:
     merge_doubles(lines, belief, 100, EVEN)
     assert len(lines) == 1
     assert belief.n == 5
-    a, b, flat = 0.02**2, 0.04**2, FLAT_SIGMAS[0] ** 2
+    a, b, flat = 0.02**2, 0.04**2, line_map.FLAT_SIGMAS[0] ** 2
     assert belief.state[3] == pytest.approx(0.03 * a / (a + b + flat))
     assert belief.covariance[3, 3] == pytest.approx(a - a * a / (a + b + flat))
     assert lines.hits[0] == 20
@@ -182,13 +169,11 @@ def test_a_wall_that_was_seen_in_two_stretches_reaches_over_both() -> None:
 
 @pytest.mark.parametrize(
     ("second", "why"),
-    [
-        ((3.2, 0.0, 0.0, 0.02), "ten standard deviations away"),
-        ((3.0, 0.0, math.pi, 0.02), "the other face of a thin wall"),
-        ((3.0, 4.0, 0.0, 0.02), "a gap of two metres: a door"),
-        ((3.3, 0.0, 0.0, 1.0), "further than any double, however vague"),
-    ],
-)
+    [((3.2, 0.0, 0.0, 0.02), "ten standard deviations away"),
+     ((3.0, 0.0, math.pi, 0.02), "the other face of a thin wall"),
+     ((3.0, 4.0, 0.0, 0.02), "a gap of two metres: a door"),
+     ((3.3, 0.0, 0.0, 1.0), "further than any double, however vague")],
+)  # fmt: skip
 def test_two_walls_stay_two(second: tuple[float, float, float, float], why: str) -> None:
     lines, belief = a_map((3.0, 0.0, 0.0, 0.005), second)
     before = belief.covariance.copy()
@@ -222,11 +207,11 @@ def test_a_merge_closes_a_loop_the_pose_follows_the_wall_it_knows_again() -> Non
 
 def test_lines_that_were_hardly_seen_again_leave_with_their_states() -> None:
     lines, belief = a_map((3.0, 0.0, 0.0, 0.02), (0.0, 3.0, math.pi / 2, 0.02), (-3.0, 0.0, math.pi, 0.02))
-    lines.hits[1] = MIN_HITS - 1
+    lines.hits[1] = line_map.MIN_HITS - 1
     kept = belief.state[[0, 1, 2, 3, 4, 7, 8]].copy()
-    prune(lines, belief, 1 + TRIAL_SCANS)
+    prune(lines, belief, 1 + line_map.TRIAL_SCANS)
     assert len(lines) == 3
-    prune(lines, belief, 2 + TRIAL_SCANS)
+    prune(lines, belief, 2 + line_map.TRIAL_SCANS)
     assert lines.ids.tolist() == [0, 2]
     np.testing.assert_array_equal(belief.state, kept)
     assert lines.column.tolist() == [3, 5]
@@ -327,20 +312,9 @@ def test_a_line_repeats_the_one_that_is_nearest_where_each_is_the_others(seed: i
     np.testing.assert_array_equal(standing._same(scan.rows), expected)
 
 
-def rested(seconds: float, sigma: float = 0.004) -> tuple[Drive, Robot]:
-    """A precise laser on a robot that never moves, off by a start of 2 degrees."""
-    world = World(
-        seconds=seconds,
-        speed=0.0,
-        turning=0.0,
-        sigma_range=sigma,
-        settings={"compass": {"offset_deg": math.degrees(0.7)}, "lrf": {"walls": "flat"}},
-    )
-    return world.measured()
-
-
 def test_most_of_the_scans_of_a_minute_at_rest_are_repeated_and_no_wall_is_known_below_its_floor() -> None:
-    drive, robot = rested(60.0)
+    settings: dict[str, dict[str, Any]] = {"compass": {"offset_deg": math.degrees(0.7)}, "lrf": {"walls": "flat"}}
+    drive, robot = World(seconds=60.0, speed=0.0, turning=0.0, sigma_range=0.004, settings=settings).measured()
     run = fuse(drive, robot, ["lrf"])
     verdicts = run.audits["lrf"].verdict
     assert (verdicts == REPEATED).mean() > 0.95

@@ -29,19 +29,13 @@ def known_scene(seed: int) -> tuple[Scan, LineMap, Array, tuple[float, float, fl
     return scan, lines, lines.values(belief), belief.pose()
 
 
-def ends_of(lines: LineMap, values: Array, j: int) -> tuple[Array, Array, Array]:
-    """Both ends (2,) of a map line, and its normal."""
-    rho, beta = values[j]
-    n, t = np.array([math.cos(beta), math.sin(beta)]), np.array([-math.sin(beta), math.cos(beta)])
-    foot = lines.anchor[j] + rho * n
-    return foot + lines.lo[j] * t, foot + lines.hi[j] * t, n
-
-
 def hidden(point: Array, eye: Array, lines: LineMap, values: Array, both: bool) -> bool:
     """Whether a wall stands between eye and point: by the parameters of two lines that cross."""
     far = float(np.linalg.norm(point - eye))
     for j in np.flatnonzero(lines.hits >= 4):
-        a, b, n = ends_of(lines, values, int(j))
+        rho, beta = values[j]
+        n, along = np.array([math.cos(beta), math.sin(beta)]), np.array([-math.sin(beta), math.cos(beta)])
+        a, b = (lines.anchor[j] + rho * n + end * along for end in (lines.lo[j], lines.hi[j]))
         ahead = (point - eye) / max(far, 1e-12)
         facing = float(ahead @ n)
         if (abs(facing) if both else facing) <= 0.1:
@@ -161,9 +155,8 @@ def test_the_interpreted_kernel_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_line_of_a_turned_laser_is_the_same_line_from_the_base() -> None:
     """Both of its ends, put into the base by the mount; a line that is no number stays none."""
     rng = np.random.default_rng(2)
-    rows = np.column_stack(
-        (rng.uniform(0.05, 2.0, 50), rng.uniform(-3, 3, 50), np.tile([1e-4, 0.0, 1e-6, -1.0, 1.6], (50, 1)))
-    )
+    rest = np.tile([1e-4, 0.0, 1e-6, -1.0, 1.6], (50, 1))
+    rows = np.column_stack((rng.uniform(0.05, 2.0, 50), rng.uniform(-3, 3, 50), rest))
     rows[7, 1], rows[8, 1] = math.nan, math.inf
     x, y, yaw = mount = (0.3, -0.2, 0.7)
     out = np.empty_like(rows)

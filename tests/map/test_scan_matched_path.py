@@ -13,7 +13,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.map import submap_path
 from locfuse.fusion.map.submap_path import DRIFT_RAD_PER_M, MIN_KEYS, ScanMatchedPath, compared, end_pose
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.neighbours import MATCH_WIDTH, by_wheels, key_scans
+from locfuse.fusion.scan_matching.neighbours import MATCH_WIDTH, key_scans
 from locfuse.fusion.scan_matching.solve import Edges
 from locfuse.fusion.sensors.lrf import LrfSettings
 
@@ -144,13 +144,8 @@ def test_keys_are_matched_within_centimetres_and_a_slip_of_the_wheels_is_found()
     assert np.degrees(np.abs(se2.wrap_all(e[:, 2]))).max() < 0.3
 
 
-def followed(m: Measurements, poses: Array) -> ScanMatchedPath:
-    """Return a path through a map on which the filter had the robot at poses (n, 3)."""
-    return on_from(m, 0, poses)
-
-
-def on_from(m: Measurements, begin: int, poses: Array) -> ScanMatchedPath:
-    """The same from a reading on."""
+def followed(m: Measurements, poses: Array, begin: int = 0) -> ScanMatchedPath:
+    """Return a path through a map on which the filter had the robot at poses (n, 3) from a reading on."""
     along = ScanMatchedPath(m, begin, poses[0].tolist())
     for reading, pose in enumerate(poses[1:].tolist(), begin + 1):
         along.add(reading, pose)
@@ -168,7 +163,7 @@ def test_a_pose_that_drifted_is_put_back_from_wherever_the_map_began_and_ends(be
     path = tour()
     m = measured(InRoom(path, path))
     drifted = se2.chain(np.tile((0.101, -0.0005, math.radians(2.04)), (90, 1)))
-    along = on_from(m, begin, drifted[begin : end + 1])
+    along = followed(m, drifted[begin : end + 1], begin)
     belief = at(drifted[end], 0.2, 4.0)
     off = se2.between(drifted[begin], drifted[end]) - se2.between(path[begin], path[end])
     along.end(None, belief)
@@ -191,11 +186,13 @@ def test_a_pose_that_claimed_too_much_claims_less() -> None:
     assert math.degrees(math.sqrt(sure.matrix()[2, 2])) > 0.2
 
 
-def test_a_path_of_too_many_or_few_keys_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_of_too_many_few_or_no_points_is_left_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     path = tour()
     m = measured(InRoom(path, path))
-    wrong = np.array((0.0, 0.0, 0.0))
-    belief = at(wrong, 0.1, 6.0)
+    belief = at(np.zeros(3), 0.1, 6.0)
+    followed(Measurements(m.t, m.first, m.z, m.R_unit, m.scale, m.floor), path).end(None, belief)
     followed(m, path[: int(key_scans(m).readings[MIN_KEYS - 1]) + 1]).end(None, belief)
     ScanMatchedPath(m, 1, path[1]).end(None, belief)  # none
     monkeypatch.setattr(submap_path, "MAX_KEYS", 5)
@@ -221,21 +218,5 @@ def test_scans_without_any_surface_tell_nothing_and_do_no_harm() -> None:
     m = measured(Outside(path, path))
     keys = key_scans(m)
     assert not len(keys.matches)
-    np.testing.assert_allclose(
-        keys.steps, se2.between(path[keys.readings[:-1]], path[keys.readings[1:]]), atol=1e-9
-    )
-
-
-def test_a_long_turn_of_the_wheels_is_doubted_more() -> None:
-    turns = np.zeros((2, 3))
-    turns[1, 2] = math.radians(90.0)
-    sigma = np.degrees(1.0 / np.sqrt(by_wheels(turns)[:, 2, 2]))
-    np.testing.assert_allclose(sigma, (2.0, math.hypot(2.0, 9.0)))
-
-
-def test_a_laser_without_points_leaves_the_pose_as_it_is() -> None:
-    m = measured(InRoom(tour(), tour()))
-    bare = Measurements(m.t, m.first, m.z, m.R_unit, m.scale, m.floor)
-    belief = at(np.array((1.0, 0.0, 0.0)), 0.1, 6.0)
-    followed(bare, tour()).end(None, belief)
-    assert belief.pose() == (1.0, 0.0, 0.0)
+    by_path = se2.between(path[keys.readings[:-1]], path[keys.readings[1:]])
+    np.testing.assert_allclose(keys.steps, by_path, atol=1e-9)

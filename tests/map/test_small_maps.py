@@ -96,13 +96,9 @@ def test_a_path_that_was_worse_than_claimed_is_widened_until_its_error_is_an_ord
 
 def test_a_covariance_beyond_all_bounds_has_an_information() -> None:
     """Of a log whose stamps lie: its numbers do not know that it is positive."""
-    P = np.array(
-        (
-            (1.25829551e25, 1.71387634e25, 1.68172119e16),
-            (1.71387634e25, 2.33440562e25, 2.29060831e16),
-            (1.68172119e16, 2.29060831e16, 2.24763272e07),
-        )
-    )
+    xx, xy, xt = 1.25829551e25, 1.71387634e25, 1.68172119e16
+    yy, yt, tt = 2.33440562e25, 2.29060831e16, 2.24763272e07
+    P = np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
     L = inverted(P)
     assert np.isfinite(L).all()
     assert np.linalg.eigvalsh(L).min() >= -1e-12 * np.abs(L).max()
@@ -134,15 +130,10 @@ def seen(pose: Array, rho: Array, beta: Array) -> Array:
     return np.stack((r, beta - pose[:, 2:]), axis=-1).reshape(len(pose), -1)
 
 
-@pytest.fixture(scope="module")
-def drawn() -> Array:
+def test_what_is_seen_from_the_pose_spreads_as_drawn_poses_and_walls_do() -> None:
     belief, lines = drive()
     draws = np.random.default_rng(6).multivariate_normal(belief.state, belief.covariance, 200_000, method="eigh")
-    return seen(draws[:, :3], draws[:, lines.column], draws[:, lines.column + 1])
-
-
-def test_what_is_seen_from_the_pose_spreads_as_drawn_poses_and_walls_do(drawn: Array) -> None:
-    belief, lines = drive()
+    drawn = seen(draws[:, :3], draws[:, lines.column], draws[:, lines.column + 1])
     shared = shared_walls(lines, np.arange(3), belief)
     sigma = np.sqrt(np.diagonal(shared.P))
     assert np.stack((shared.r, shared.psi), axis=-1).reshape(-1) == pytest.approx(drawn.mean(axis=0), abs=1e-5)
@@ -204,9 +195,8 @@ def corridor(doors: float) -> Array:
 def test_along_a_corridor_whose_doors_repeat_the_place_stays_open_and_across_it_does_not() -> None:
     wide = np.diag(np.square((2.0, 2.0, 0.2)))
     frame = np.array([12.0, 0.2, 0.0])
-    found = present(
-        find_closure(map_of(corridor(2.0), np.zeros(3)), map_of(corridor(2.0)[:12], frame), frame, wide)
-    )
+    here, there = map_of(corridor(2.0), np.zeros(3)), map_of(corridor(2.0)[:12], frame)
+    found = present(find_closure(here, there, frame, wide))
     assert math.sqrt(found.P[0, 0]) > 1.5  # a door further on fits as well
     assert abs(found.pose[1] - 0.2) < 0.02
     assert math.sqrt(found.P[1, 1]) < 0.1
@@ -235,11 +225,9 @@ FAR = np.array((30.0, 0.0, 30.0, 0.0))
 L_SHAPED = ((0, 0, 8, 0), (8, 0, 8, 4), (8, 4, 6, 4), (6, 4, 6, 6), (6, 6, 0, 6), (0, 6, 0, 0))
 # two rooms that nobody takes for one another, nor for themselves turned round, 30 m apart
 ROOMS = (
-    *L_SHAPED,
-    (3, 0, 3, 1),
-    (0, 3.5, 1.2, 3.5),
-    *(tuple(np.array(w) + FAR) for w in ((0, 0, 6, 0), (6, 0, 6, 9), (6, 9, 0, 9), (0, 9, 0, 0), (0, 6, 1.5, 6))),
-)
+    *L_SHAPED, (3, 0, 3, 1), (0, 3.5, 1.2, 3.5),
+    *(tuple(np.array(w) + FAR) for w in ((0, 0, 6, 0), (6, 0, 6, 9), (6, 9, 0, 9), (0, 9, 0, 0), (0, 6, 1.5, 6)))
+)  # fmt: skip
 
 
 class Visiting(World):

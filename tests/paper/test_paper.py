@@ -11,6 +11,7 @@ import pytest
 import small_drive
 from commands import ok, refused, reported
 from msgspec.structs import replace
+from present import present
 
 from locfuse.cli.session import paper
 from locfuse.cli.session.paper import Driven
@@ -76,23 +77,13 @@ def test_a_step_takes_the_newest_reading_since_the_step_before() -> None:
 
 def with_camera(drive: Drive, robot: Robot, seed: int = 5) -> tuple[Drive, Robot]:
     """Add bearings of LANDMARK at 2 Hz: from the axle, 0.5 degrees of noise, every seventh picture without one."""
-    assert drive.truth is not None
-    assert drive.truth.theta is not None
-    rng = np.random.default_rng(seed)
+    rng, truth = np.random.default_rng(seed), present(drive.truth)
     t = np.arange(0.17, float(drive.t[-1]), 0.5)
-    x, y = (np.interp(t, drive.truth.t, v) for v in drive.truth.xy.T)
-    theta = np.interp(t, drive.truth.t, np.unwrap(drive.truth.theta))
+    x, y, theta = (np.interp(t, truth.t, v) for v in (*truth.xy.T, np.unwrap(present(truth.theta))))
     seen = np.arange(len(t)) % 7 > 0
     z = np.arctan2(LANDMARK[1] - y, LANDMARK[0] - x) - theta + 0.5 * DEG * rng.normal(size=len(t))
-    n = int(seen.sum())
-    camera = Measurements(
-        t=t,
-        first=np.concatenate(([0], np.cumsum(seen))),
-        z=z[seen, None],
-        R_unit=np.ones((n, 1, 1)),
-        scale=0.5 * DEG,
-        floor=np.zeros((1, 1)),
-    )
+    first, one = np.concatenate(([0], np.cumsum(seen))), np.ones((int(seen.sum()), 1, 1))
+    camera = Measurements(t, first, z[seen, None], one, 0.5 * DEG, np.zeros((1, 1)))
     measurements = {**drive.measurements, "camera": camera}
     parts = cut(drive.wheels, robot, measurements, None)
     more = replace(drive, measurements=measurements, truth=None, **parts)
@@ -126,19 +117,19 @@ def by_hand(drive: Drive, robot: Robot) -> tuple[Array, Array]:
                     h += [r_, psi_]
                     H += rows
                     R += [0.03**2, (0.25 * DEG) ** 2]
+        headings = []
         for i in newest_by_hand(m["compass"], k):
             phi = m["compass"].z[i, 0]
             phi_0 = phi - x[2] if phi_0 is None else phi_0
-            z.append(x[2] + math.remainder(phi - phi_0 - x[2], math.tau))
+            headings.append((phi - phi_0, 0.01))
+        for i in newest_by_hand(m["camera"], k):
+            bearings = m["camera"].z[m["camera"].first[i] : m["camera"].first[i + 1], 0]
+            headings += [(start_direction - bearing, (0.5 * DEG) ** 2) for bearing in bearings]
+        for heading, variance in headings:
+            z.append(x[2] + math.remainder(heading - x[2], math.tau))
             h.append(x[2])
             H.append([0, 0, 1])
-            R.append(0.01)
-        for i in newest_by_hand(m["camera"], k):
-            for bearing in m["camera"].z[m["camera"].first[i] : m["camera"].first[i + 1], 0]:
-                z.append(x[2] + math.remainder(start_direction - bearing - x[2], math.tau))
-                h.append(x[2])
-                H.append([0, 0, 1])
-                R.append((0.5 * DEG) ** 2)
+            R.append(variance)
         if z:
             H_ = np.array(H)
             K = P @ H_.T @ np.linalg.inv(H_ @ P @ H_.T + np.diag(R))
@@ -198,9 +189,8 @@ def test_a_listening_sensor_is_audited_but_moves_nothing() -> None:
     np.testing.assert_array_equal(alone.pose, heard.pose)
     assert heard.sensors == ("compass",)
     assert np.isfinite(heard.audits["lrf"].nis).sum() > 100
-    half = fuse_as_printed(
-        drive, robot, ("compass", "lrf"), listen={"lrf": every & (np.arange(len(every)) % 2 > 0)}
-    )
+    every[::2] = False
+    half = fuse_as_printed(drive, robot, ("compass", "lrf"), listen={"lrf": every})
     assert np.abs(half.pose - heard.pose).max() > 0.01
 
 
@@ -255,11 +245,9 @@ def test_the_printed_filter_refuses_a_given_map_and_does_not_pass_it_by(tmp_path
 def test_a_drive_of_more_steps_than_memory_is_refused_in_one_line() -> None:
     drive = small_drive.drive(1, small_drive.robot())
     years = replace(drive, t=np.append(drive.t[:-1], 1.7e9))
-    with pytest.raises(
-        LocfuseError, match=r"1\.7e\+10 steps; 2000000 are the most\. Fuse a part of it"
-    ) as refused:
+    why = r"^[^\n]*1\.7e\+10 steps; 2000000 are the most\. Fuse a part of it[^\n]*$"
+    with pytest.raises(LocfuseError, match=why):
         PrintedFilter(years, small_drive.robot(), (), {})
-    assert "\n" not in str(refused.value)
 
 
 # --- `locfuse paper`: table, figures and page say what the two comparisons and the four drives gave
@@ -319,13 +307,10 @@ def test_the_conclusion_names_the_smallest_error(found: paper.Repeated, folder: 
     assert re.search(r"with our filter lrf \(3\.9 mm, all 4\.1 mm\)", said)  # a laser alone is as good
     assert re.search(r"as printed lrf \(52 mm, all 75 mm\)", said)  # the printed camera spoils the rest
     assert said in (folder / "paper.html").read_text()
-    row = {"ours_position_rmse_m": 0.2, "print_position_rmse_m": 0.3}
-    better = {
-        "table": [{"configuration": "lrf", **row}, {"configuration": "all", **{k: v / 2 for k, v in row.items()}}]
-    }
-    assert "with our filter all (100 mm) and by the equations as printed all (150 mm)" in paper_page.conclusion(
-        better
-    )
+    lrf = {"configuration": "lrf", "ours_position_rmse_m": 0.2, "print_position_rmse_m": 0.3}
+    everything = {"configuration": "all", "ours_position_rmse_m": 0.1, "print_position_rmse_m": 0.15}
+    better = paper_page.conclusion({"table": [lrf, everything]})
+    assert "with our filter all (100 mm) and by the equations as printed all (150 mm)" in better
 
 
 def test_the_walls_of_figure_14_are_the_scenario_s_and_distances_to_the_nearest_point(

@@ -58,19 +58,11 @@ def test_robots_inside_logs_and_those_that_init_and_run_write_are_valid(tmp_path
 
 @pytest.mark.parametrize(
     "tables",
-    [
-        {"wheels": {"radus": 0.1}},
-        {"wheels": {"radius": "0.1"}},
-        {"wheels": {"mirrored": "up"}},
-        {"start": {"sigma_xy": -1.0}},
-        {"lrf": {"map": "growing"}},
-        {"compass": {"hard_iron": [1.0]}},
-        {"order": "random"},
-        {"lidar": {}},
-        {"lrf": 3},
-    ],
+    [{"wheels": {"radus": 0.1}}, {"wheels": {"radius": "0.1"}}, {"wheels": {"mirrored": "up"}},
+     {"start": {"sigma_xy": -1.0}}, {"lrf": {"map": "growing"}}, {"compass": {"hard_iron": [1.0]}},
+     {"order": "random"}, {"lidar": {}}, {"lrf": 3}],
     ids=str,
-)
+)  # fmt: skip
 def test_what_the_reader_refuses_the_schema_refuses_too(tables: dict[str, Any]) -> None:
     with pytest.raises(LocfuseError):
         make_robot(tables)
@@ -89,9 +81,8 @@ def test_every_key_has_its_default_or_none_and_most_have_words() -> None:
                 assert shown.get("default") == default, field.name
             described, total = described + ("description" in shown), total + 1
     assert described > 0.75 * total
-    assert schema["$defs"]["WheelSettings"]["properties"]["track"]["description"].startswith(
-        "m between the wheels"
-    )
+    track = schema["$defs"]["WheelSettings"]["properties"]["track"]
+    assert track["description"].startswith("m between the wheels")
 
 
 def test_real_reports_are_valid_with_and_without_truth(tmp_path: Path) -> None:

@@ -92,9 +92,8 @@ def test_correlation_finds_a_shift_of_metres_and_says_where_two_places_fit() -> 
     peak = correlate(ours, theirs, pose + np.array([1.2, -0.8, 0.15]), np.array([0.8, 0.8, 0.1]))
     assert np.hypot(*(peak.pose - pose)[:2]) < 0.4
     assert peak.is_decided
-    comb = np.concatenate(
-        [np.stack((np.full(30, x), np.linspace(-1.0, 1.0, 30)), axis=-1) for x in range(-6, 7, 2)]
-    )
+    tooth = np.linspace(-1.0, 1.0, 30)
+    comb = np.concatenate([np.stack((np.full(30, x), tooth), axis=-1) for x in range(-6, 7, 2)])
     assert not correlate(comb, comb[60:150], np.array([0.3, 0.0, 0.0]), np.array([1.5, 0.3, 0.05])).is_decided
 
 
@@ -124,9 +123,7 @@ def test_a_cloud_of_many_scans_is_thinned_to_one_point_in_each_square() -> None:
 
 def test_the_surfaces_of_a_scan_are_those_of_it_alone() -> None:
     rng = np.random.default_rng(5)
-    coarse = np.column_stack(
-        (np.linspace(-4.0, 4.0, 17), np.full(17, 3.0))
-    )  # 0.5 m apart: a surface by its spacing
+    coarse = np.column_stack((np.linspace(-4.0, 4.0, 17), np.full(17, 3.0)))  # 0.5 m apart
     fine = np.column_stack((np.linspace(-2.0, 2.0, 400), 2.0 + 0.001 * rng.normal(size=400)))
     origin = np.zeros(2)
     alone = [normals(xy, np.zeros(len(xy), np.int64), origin) for xy in (coarse, fine)]
@@ -181,16 +178,12 @@ def test_poses_and_covariances_equal_dense_least_squares() -> None:
     np.testing.assert_allclose(after[3], dense[3, :, 4, :], rtol=2e-3, atol=1e-9)
 
 
-def test_information_that_is_negative_gives_no_covariance() -> None:
+def test_poses_that_no_match_fixes_are_refused_and_negative_information_gives_no_covariance() -> None:
     _, edges = ring(np.random.default_rng(3), 0.05)
     x, _ = Problem(START).solve(started(edges), edges)
     normal = Normal(x, np.zeros(2), edges, -np.ones(len(edges)), [], 0)
     with pytest.raises(LocfuseError, match="variance is not positive"):
         normal.chain(N)
-
-
-def test_poses_that_no_match_fixes_are_refused() -> None:
-    _, edges = ring(np.random.default_rng(3), 0.05)
     with pytest.raises(LocfuseError, match=f"do not fix the {N} poses .*singular"):
         Normal(started(edges), np.zeros(2), edges, np.zeros(len(edges)), [], 0)
 
@@ -209,12 +202,9 @@ def test_jacobians_equal_finite_differences() -> None:
 
 def test_a_wrong_closure_among_right_ones_is_given_up() -> None:
     truth, edges = ring(np.random.default_rng(4), 0.01)
-    wrong = Edges.of(
-        np.array([2, 3, 1]), np.array([8, 9, 7]), np.array([[0.5, 0.2, 0.1]] * 3), edges.information[:3], 4.0
-    )
-    right = Edges.of(
-        np.array([1, 2]), np.array([9, 10]), se2.between(truth[[1, 2]], truth[[9, 10]]), edges.information[:2], 4.0
-    )
+    i, j, a, b = (np.array(k) for k in ([2, 3, 1], [8, 9, 7], [1, 2], [9, 10]))
+    wrong = Edges.of(i, j, np.array([[0.5, 0.2, 0.1]] * 3), edges.information[:3], 4.0)
+    right = Edges.of(a, b, se2.between(truth[a], truth[b]), edges.information[:2], 4.0)
     all_edges = Edges.joined(edges, right, wrong)
     x, _ = Problem(START).solve(started(edges), all_edges, GRADUATIONS)
     weights = all_edges.weights(x)

@@ -1,6 +1,7 @@
 """The compass: conventions, offset, disturbance."""
 
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -34,15 +35,10 @@ def measured(s: ArrayStream, **settings: Any) -> Measurements:
 
 
 @pytest.mark.parametrize(
-    ("convention", "value", "theta"),
-    [
-        ("enu_rad", 0.3, 0.3),
-        ("enu_deg", 30.0, math.radians(30)),
-        ("compass_deg", 0.0, math.pi / 2),  # north is +y
-        ("compass_deg", 90.0, 0.0),  # east is +x
-        ("compass_rad", math.pi, -math.pi / 2),
-    ],
-)
+    ("convention", "value", "theta"),  # compass: north is +y and east +x
+    [("enu_rad", 0.3, 0.3), ("enu_deg", 30.0, math.radians(30)), ("compass_deg", 0.0, math.pi / 2),
+     ("compass_deg", 90.0, 0.0), ("compass_rad", math.pi, -math.pi / 2)],
+)  # fmt: skip
 def test_heading_numbers_follow_their_convention(convention: str, value: float, theta: float) -> None:
     m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, value)}), convention=convention)
     np.testing.assert_allclose(m.z[:, 0], theta, atol=1e-12)
@@ -71,13 +67,11 @@ def test_a_field_to_the_north_gives_the_heading_and_iron_is_taken_out(theta: flo
     np.testing.assert_allclose(np.cos(m.z[:, 0] + math.pi / 2 - theta), 1.0, atol=1e-12)
 
 
-def test_an_imu_without_orientation_says_so() -> None:
-    n = len(T)
-    covariance = np.zeros((n, 9))
-    covariance[:, 0] = -1
-    data = {f"orientation.{a}": np.full(n, 1.0 if a == "w" else 0.0) for a in "xyzw"}
-    with pytest.raises(LocfuseError, match="no orientation"):
-        measured(stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": covariance}))
+def oriented(q: Any) -> ArrayStream:
+    """An IMU that says quaternions (4,) or (4, 5)."""
+    columns = np.broadcast_to(np.array(q).reshape(4, -1), (4, 5)).copy()
+    data = dict(zip((f"orientation.{a}" for a in "xyzw"), columns, strict=True))
+    return stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": np.zeros((5, 9))})
 
 
 @pytest.mark.parametrize("theta", [0.0, math.pi, -math.pi + 1e-9, 12.0])
@@ -98,10 +92,7 @@ def test_a_field_of_the_wrong_strength_is_disturbed_and_not_used() -> None:
     world = World()
     streams = world.streams()
     columns: Any = streams["compass"].data
-    x = columns["magnetic_field.x"].copy()
-    x[100:140] += 3e-5
-    data = {**streams["compass"].data, "magnetic_field.x": x}
-    streams["compass"] = ArrayStream("/compass", "sensor_msgs/msg/MagneticField", streams["compass"].t_ns, data)
+    columns["magnetic_field.x"][100:140] += 3e-5
     robot = world.robot()
     drive = measure(streams, robot)
     audit = fuse(drive, robot, ["compass"]).audits["compass"]
@@ -115,9 +106,8 @@ def test_a_field_that_is_a_little_too_strong_is_a_heading_that_may_be_off_by_as_
     field = np.full(20, 2e-5)
     field[[7, 12]] *= 1.02, 1.1
     axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(20)}
-    m = measured(
-        stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(20) * np.float64(0.1), axes), sigma_deg=1.0
-    )
+    t: Any = np.arange(20) * 0.1
+    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", t, axes), sigma_deg=1.0)
     sigma = math.radians(1.0)
     expected = np.full(20, sigma**2)
     expected[12] += (0.1 - 3 * sigma) ** 2
@@ -129,17 +119,13 @@ def test_a_field_that_is_a_little_too_strong_is_a_heading_that_may_be_off_by_as_
 def test_an_orientation_is_the_yaw_of_an_enu_or_a_ned_world(convention: str, theta: float) -> None:
     turns = {"enu_rad": np.eye(3), "compass_rad": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])}
     q = Rotation.from_matrix(turns[convention] @ Rotation.from_euler("z", theta).as_matrix()).as_quat()
-    data = {f"orientation.{a}": np.full(5, v) for a, v in zip("xyzw", q.tolist(), strict=True)}
-    s = stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": np.zeros((5, 9))})
-    np.testing.assert_allclose(measured(s, convention=convention).z[:, 0], theta, atol=1e-12)
+    np.testing.assert_allclose(measured(oriented(q), convention=convention).z[:, 0], theta, atol=1e-12)
 
 
 @pytest.mark.parametrize(("length", "good"), [(0.45, False), (0.55, True), (1.0, True)])
 def test_an_orientation_of_less_than_half_the_length_is_none(length: float, good: bool) -> None:
-    data = {f"orientation.{a}": np.full(5, length if a == "w" else 0.0) for a in "xyzw"}
-    data["orientation.w"][0] = 1.0  # one reading that is good
-    s = stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": np.zeros((5, 9))})
-    assert len(measured(s).z) == (5 if good else 1)
+    q = np.outer([0.0, 0.0, 0.0, 1.0], [1.0, *[length] * 4])  # one reading that is good
+    assert len(measured(oriented(q)).z) == (5 if good else 1)
 
 
 @pytest.mark.parametrize(("turn_deg", "refused"), [(15.0, False), (25.0, True)])
@@ -148,15 +134,9 @@ def test_a_heading_that_never_changes_is_refused_where_the_robot_turned(turn_deg
     theta = np.radians(turn_deg) * t / t[-1]
     wheels = Wheels.from_wheels(t, -0.25 * theta, 0.25 * theta, 0.5, 1e-4)
     s = stream("/heading", "std_msgs/msg/Float64", t, {"data": np.full(12, 0.4)})
-
-    def measure_it() -> Measurements:
-        return Compass().measure(s, CompassSettings(), wheels, int(s.t_ns[0]))
-
-    if refused:
-        with pytest.raises(LocfuseError, match=r"says 22\.9 deg in all 12 readings .* by up to 25 deg"):
-            measure_it()
-    else:
-        assert len(measure_it().z) == 12
+    why = r"says 22\.9 deg in all 12 readings .* by up to 25 deg"
+    with pytest.raises(LocfuseError, match=why) if refused else nullcontext():
+        assert len(Compass().measure(s, CompassSettings(), wheels, int(s.t_ns[0])).z) == 12
 
 
 # --- hard and soft iron: drawn ellipses are found again, and what is no ellipse is refused with the reason
@@ -221,12 +201,9 @@ def test_the_error_that_iron_makes_is_its_closed_form_for_a_small_hard_iron() ->
 
 @pytest.mark.parametrize(
     ("angles", "says"),
-    [
-        (np.linspace(0.0, math.pi, 300), "of 360 degrees"),
-        (np.zeros(300), "does not change"),
-        (np.linspace(0.0, math.tau, 20), "at least 50"),
-    ],
-)
+    [(np.linspace(0.0, math.pi, 300), "of 360 degrees"), (np.zeros(300), "does not change"),
+     (np.linspace(0.0, math.tau, 20), "at least 50")],
+)  # fmt: skip
 def test_what_shows_too_little_of_the_circle_is_refused(angles: Array, says: str) -> None:
     with pytest.raises(LocfuseError, match=says):
         fit_iron(field((1e-6, 0.0), (1.0, 1.0, 0.0), angles))
@@ -335,18 +312,14 @@ def test_gravity_and_rates_do_where_no_orientation_is_said(unit: float) -> None:
 
 
 def test_a_robot_on_a_floor_is_not_levelled() -> None:
-    """Neither noise, nor starting and braking, nor an IMU that is mounted askew by 2 degrees is a tilt."""
-    body = attitude(0.0, 0.3 * AT)
-    askew = Rotation.from_euler("xy", [2.0, 1.0], degrees=True)
-    assert tilt_of(streams(imu_of(body, askew, orientation=True), np.zeros((len(AT), 3)))[0], np.eye(3)) is None
-    data = imu_of(body, askew, orientation=False, noise=0.3)
-    data["linear_acceleration.x"] = data["linear_acceleration.x"] + np.sign(np.sin(1.5 * AT))  # 1 m/s^2 for 2 s
-    assert tilt_of(streams(data, np.zeros((len(AT), 3)))[0], np.eye(3)) is None
-
-
-def test_an_imu_on_end_that_nobody_configured_levels_nothing() -> None:
-    data = imu_of(attitude(12.0, 0.3 * AT), Rotation.from_euler("y", 90, degrees=True), orientation=True)
-    assert tilt_of(streams(data, np.zeros((len(AT), 3)))[0], np.eye(3)) is None
+    """Neither noise, nor starting and braking, nor an IMU askew by 2 degrees is a tilt; one on end shows none."""
+    body, none = attitude(0.0, 0.3 * AT), np.zeros((len(AT), 3))
+    askew, on_end = Rotation.from_euler("xy", [2.0, 1.0], degrees=True), Rotation.from_euler("y", 90, degrees=True)
+    braking = imu_of(body, askew, orientation=False, noise=0.3)
+    braking["linear_acceleration.x"] = braking["linear_acceleration.x"] + np.sign(np.sin(1.5 * AT))  # m/s^2
+    tilted = imu_of(attitude(12.0, 0.3 * AT), on_end, orientation=True)  # which nobody configured
+    for data in (imu_of(body, askew, orientation=True), braking, tilted):
+        assert tilt_of(streams(data, none)[0], np.eye(3)) is None
 
 
 def recorded(folder: Path, tilt_deg: float) -> tuple[Path, Path]:

@@ -130,16 +130,16 @@ def test_nothing_measured_is_nothing_or_one_line(sensor: Sensor) -> None:
     drive, robot = six_sensors.drive()
     stream: Any = six_sensors.streams()[0][sensor.name]
     part = getattr(stream, "parts", (stream,))[0]
-    for damage in (empty, all_nan, all_zero):
-        spoilt = damage(part, sensor.reads[part.msgtype])
+    for value in (None, math.nan, 0.0):
+        spoilt = filled(part, sensor.reads[part.msgtype], value)
         try:
             m = sensor.measure(spoilt, robot.settings(sensor.name), drive.wheels, drive.epoch_ns)
         except LocfuseError as e:
             words = str(e)
         else:
             words = f"{sensor.name}: "
-            assert np.isfinite(m.z).all(), damage.__name__
-            assert np.isfinite(m.R_unit).all(), damage.__name__
+            assert np.isfinite(m.z).all()
+            assert np.isfinite(m.R_unit).all()
             assert m.first[0] == 0
             assert m.first[-1] == len(m.z)
             assert len(m.first) == len(m.t) + 1
@@ -164,39 +164,19 @@ def test_one_damaged_reading_leaves_the_others_as_they_are(sensor: Sensor) -> No
     assert len(before.z) - len(m.z) < 10
 
 
-def empty(stream: ArrayStream, fields: tuple[str, ...]) -> ArrayStream:
-    return ArrayStream(
-        stream.topic, stream.msgtype, stream.t_ns[:0], {f: head(c) for f, c in data(stream, fields)}
-    )
-
-
-def all_nan(stream: ArrayStream, fields: tuple[str, ...]) -> ArrayStream:
-    return filled(stream, fields, math.nan)
-
-
-def all_zero(stream: ArrayStream, fields: tuple[str, ...]) -> ArrayStream:
-    return filled(stream, fields, 0.0)
-
-
-def data(stream: ArrayStream, fields: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
-    yield from stream.columns(*fields).items()
-
-
-def head(column: Any) -> Any:
-    return Ragged(column.values[:0], column.first[:1]) if isinstance(column, Ragged) else column[:0]
-
-
-def filled(stream: ArrayStream, fields: tuple[str, ...], value: float) -> ArrayStream:
-    """Return the stream with all its numbers the same; text and bytes are empty."""
+def filled(stream: ArrayStream, fields: tuple[str, ...], value: float | None) -> ArrayStream:
+    """Return the stream with all its numbers the same, its text and bytes empty; None: without any message."""
     columns: dict[str, Any] = {}
-    for name, column in data(stream, fields):
+    rows, number = slice(None if value is not None else 0), value or 0.0
+    for name, column in stream.columns(*fields).items():
         if isinstance(column, Ragged):
-            columns[name] = Ragged(np.full_like(column.values, value), column.first)
+            first = column.first if value is not None else column.first[:1]
+            columns[name] = Ragged(np.full_like(column.values, number)[rows], first)
         elif isinstance(column, list):
-            columns[name] = [type(v)() for v in column]
+            columns[name] = [type(v)() for v in column[rows]]
         else:
-            columns[name] = np.full_like(column, value if column.dtype.kind == "f" else 0)
-    return ArrayStream(stream.topic, stream.msgtype, stream.t_ns, columns)
+            columns[name] = np.full_like(column, number if column.dtype.kind == "f" else 0)[rows]
+    return ArrayStream(stream.topic, stream.msgtype, stream.t_ns[rows], columns)
 
 
 def damaged_row(column: Any, i: int) -> Any:
@@ -222,10 +202,8 @@ VARIANTS: dict[str, list[dict[str, dict[str, Any]]]] = {
     "gps": [{"gps": ANTENNA}, {"gps": CERTAIN_GPS}, {"gps": {**CERTAIN_GPS, "origin": (48.0, 11.0)}}],
     "gyro": [{}, {"gyro": {"bias_deg": 0.5}}],
     "landmarks": [
-        {},
-        {"landmarks": {"range_offset": 0.1}},
-        {"landmarks": {"file": "seen.csv"}},
-        {"landmarks": {"range_depth": 1.0}},
+        {"landmarks": settings}
+        for settings in ({}, {"range_offset": 0.1}, {"file": "seen.csv"}, {"range_depth": 1.0})
     ],
     "pose": [{}, {"pose": {"frame": "drift"}}, {"pose": {"frame": "map", "gate": 1.0}}],
     "twist": [{}],
@@ -343,15 +321,10 @@ def test_components_and_states_have_names_and_units(sensor: Sensor) -> None:
     names = [c.name for c in sensor.components]
     assert len(set(names)) == len(names)
     assert all(name.isidentifier() for name in names)
-    blocks = [b for v in VARIANTS.get(sensor.name, [{}]) for b in blocks_of(sensor, v.get(sensor.name, {}))]
-    for name, width in blocks:
-        if not name.startswith("_"):
-            assert len(sensor.states[name]) == width, name
-
-
-def blocks_of(sensor: Sensor, settings: dict[str, Any]) -> list[tuple[str, int]]:
-    robot = with_settings(six_sensors.drive()[1], {sensor.name: settings})
-    return [(b.name, len(b.x)) for b in sensor.model(robot.settings(sensor.name)).blocks()]
+    for variant in VARIANTS.get(sensor.name, [{}]):
+        settings = with_settings(six_sensors.drive()[1], variant).settings(sensor.name)
+        for b in sensor.model(settings).blocks():
+            assert b.name.startswith("_") or len(sensor.states[b.name]) == len(b.x), b.name
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -390,9 +363,8 @@ def test_what_turns_a_sensor_round_is_its_own_setting() -> None:
     assert of("gyro", GyroSettings(roll_deg=180.0), "").sets == {"roll_deg": 0.0}
     number = "std_msgs/msg/Float64"
     for now, other in (("enu_deg", "compass_deg"), ("compass_rad", "enu_rad")):
-        assert of("compass", msgspec.convert({"convention": now}, CompassSettings), number).sets == {
-            "convention": other
-        }
+        told = msgspec.convert({"convention": now}, CompassSettings)
+        assert of("compass", told, number).sets == {"convention": other}
     assert of("compass", CompassSettings(), six_sensors.IMU).sets == {"convention": "compass_rad"}
     assert of("compass", CompassSettings(), "sensor_msgs/msg/MagneticField").sets == {"roll_deg": 180.0}
     assert not of("gps", REGISTRY["gps"].Settings(), "").sets

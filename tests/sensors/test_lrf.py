@@ -8,6 +8,7 @@ import pytest
 import rooms
 from msgspec.structs import replace
 from present import present
+from textbook import move
 from worlds import ROOM, World
 
 from benchmarks import experiment
@@ -29,14 +30,9 @@ from locfuse.sample_logs.simulate import in_memory
 
 # two walls 0.2 m apart, seen one after the other through a doorway in a cross wall
 PARALLEL = (
-    *ROOM,
-    (2.0, 0.0, 2.0, 2.4),
-    (2.0, 3.6, 2.0, 6.0),
-    (3.0, 2.0, 7.5, 2.0),
-    (3.2, 1.8, 7.3, 1.8),
-    (3.0, 4.4, 7.5, 4.4),
-    (3.0, 4.6, 7.5, 4.6),
-)
+    *ROOM, (2.0, 0.0, 2.0, 2.4), (2.0, 3.6, 2.0, 6.0), (3.0, 2.0, 7.5, 2.0), (3.2, 1.8, 7.3, 1.8),
+    (3.0, 4.4, 7.5, 4.4), (3.0, 4.6, 7.5, 4.6)
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -44,14 +40,9 @@ PARALLEL = (
 def test_past_parallel_walls_and_through_a_doorway_no_line_is_matched_wrongly(mode: str, seed: int) -> None:
     """Drive from (0.6, 3) through the doorway at x = 2 between double walls; every match is checked in truth."""
     world = World(
-        seconds=18.0,
-        turning=0.0,
-        start=(0.6, 3.0, 0.0),
-        walls=PARALLEL,
-        seed=seed,
-        settings={"lrf": {"map": mode}},
-        mount=(0.0, 0.0, 0.0),
-    )
+        seconds=18.0, turning=0.0, start=(0.6, 3.0, 0.0), walls=PARALLEL, seed=seed,
+        settings={"lrf": {"map": mode}}, mount=(0.0, 0.0, 0.0)
+    )  # fmt: skip
     drive, robot = world.measured()
     found = fuse(drive, robot, ["lrf"])
     audit, lrf = found.audits["lrf"], drive.measurements["lrf"]
@@ -120,28 +111,20 @@ def map_of(segments: list[Segment], inside: tuple[float, float] = (2.0, 1.5)) ->
     return lines
 
 
-def cast(segments: list[Segment], at: Array, half: float) -> float:
-    """Distance to the nearest point of any segment within a cone, by many rays."""
-    walls = np.array([(*a, *b) for a, b in segments], float)
-    return float(rooms.scan(walls, at, np.linspace(-half, half, 4001)).min())
-
-
 def belief_at(pose: tuple[float, float, float], sigma: float = 1e-3) -> JointBelief:
     return JointBelief(pose, (sigma**2, 0.0, 0.0, sigma**2, 0.0, sigma**2))
 
 
 def test_an_echo_is_the_nearest_thing_that_rays_meet_or_none() -> None:
     lines, answered, silent = map_of(SQUARE), 0, 0
+    walls = np.array([(*a, *b) for a, b in SQUARE], float)
     for _ in range(120):
         pose = (RNG.uniform(0.3, 3.7), RNG.uniform(0.3, 2.7), RNG.uniform(-4, 4))
         mount = (RNG.uniform(-0.1, 0.1), RNG.uniform(-0.1, 0.1), RNG.uniform(-2, 2))
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        at = np.array(
-            [pose[0] + c * mount[0] - s * mount[1], pose[1] + s * mount[0] + c * mount[1], pose[2] + mount[2]]
-        )
+        at = move(np.array(pose), np.array(mount))
         half = math.radians(12.0)
         echo = nearest_echo(lines, belief_at(pose), Cone(*mount, half, 0.0), 1e-6)
-        seen = cast(SQUARE, at, half)
+        seen = float(rooms.scan(walls, at, np.linspace(-half, half, 4001)).min())
         if echo is not None:
             assert echo.distance == pytest.approx(seen, abs=1e-5)
             answered += 1
@@ -212,13 +195,9 @@ def test_an_echo_is_refused_from_where_clutter_is_as_likely(distance: float, sig
 
 def ranges(values: Any, topic: str = "/sonar") -> ArrayStream:
     n = len(values)
-    data = {
-        "field_of_view": np.full(n, 0.35, np.float32),
-        "min_range": np.full(n, 0.03, np.float32),
-        "max_range": np.full(n, 4.0, np.float32),
-        "range": np.array(values, np.float32),
-    }
-    return ArrayStream(topic, "sensor_msgs/msg/Range", np.arange(n) * 10**8, dict(data))
+    told: dict[str, Any] = {"field_of_view": 0.35, "min_range": 0.03, "max_range": 4.0, "range": np.array(values)}
+    data: dict[str, Any] = {name: np.broadcast_to(np.float32(value), n) for name, value in told.items()}
+    return ArrayStream(topic, "sensor_msgs/msg/Range", np.arange(n) * 10**8, data)
 
 
 def test_no_echo_is_no_measurement_in_every_drivers_way_of_saying_it() -> None:
@@ -244,11 +223,9 @@ def tour(seed: int) -> tuple[Drive, Robot]:
     mounts = {f"/sonar/{s.name}": [s.x, s.y, s.yaw_deg] for s in scenario.sonar}
     robot = make_robot({**tables, "sonar": {"mounts": mounts, "sigma": 0.02}})
     roles = {
-        "wheels": streams["/joint_states"],
-        "truth": streams["/ground_truth/pose"],
-        "lrf": streams["/scan"],
-        "sonar": merged([streams[topic] for topic in mounts]),
-    }
+        "wheels": streams["/joint_states"], "truth": streams["/ground_truth/pose"], "lrf": streams["/scan"],
+        "sonar": merged([streams[topic] for topic in mounts])
+    }  # fmt: skip
     return measure(roles, robot), robot
 
 
@@ -284,10 +261,7 @@ def test_a_sonar_is_compared_beside_the_laser_and_never_alone(toured: tuple[Driv
 def test_without_a_laser_there_is_no_sonar_and_the_reason_is_given(toured: tuple[Drive, Robot]) -> None:
     _, robot = toured
     streams, *_ = in_memory(scenarios.load("extras", (*SONARS, "lrf.enabled=false", "path.length=4")), 2)
-    roles = {
-        "wheels": streams["/joint_states"],
-        "sonar": merged([streams[t] for t in sorted(streams) if "sonar" in t]),
-    }
-    drive = measure(roles, robot, {"lrf": "no topic"})
+    sonar = merged([streams[t] for t in sorted(streams) if "sonar" in t])
+    drive = measure({"wheels": streams["/joint_states"], "sonar": sonar}, robot, {"lrf": "no topic"})
     assert "lrf" in drive.absent["sonar"]
     assert "sonar" not in drive.measurements

@@ -59,11 +59,6 @@ def wheels(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
     return odometry_stream(ns(t), reckoned(np.column_stack((way * np.sinc(0.5 * turn / np.pi), turn))))
 
 
-def truth(t: Array, pose: Array) -> ArrayStream:
-    """The true poses as a reference topic."""
-    return pose_stream("/ground_truth", ns(t), pose)
-
-
 SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
 FRAME = np.array([4.0, -3.0, 2.0])  # where a frame of its own lies in the map
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -95,7 +90,7 @@ def measured(seed: int, kind: str, tables: dict[str, Any] | None = None) -> tupl
     t, pose = path()
     some = slice(3, None, 2)
     inside = se2.between(np.broadcast_to(FRAME, pose.shape), pose)
-    streams = {"wheels": wheels(t, pose, rng), "truth": truth(t[::5], pose[::5])}
+    streams = {"wheels": wheels(t, pose, rng), "truth": pose_stream("/ground_truth", ns(t[::5]), pose[::5])}
     if kind == "map":
         streams["pose"] = posed(t[some], pose[some], rng)
     elif kind == "own":
@@ -224,15 +219,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         z, w = m.fields["pose.orientation.z"], m.fields["pose.orientation.w"]
         at = np.array([m.fields["pose.position.x"], m.fields["pose.position.y"], 2.0 * math.atan2(z, w)])
         x, y, theta = se2.between(FRAME, at) + rng.normal(size=3) * (0.01, 0.01, 0.005)
-        fields = {
-            "pose.pose.position.x": x,
-            "pose.pose.position.y": y,
-            "pose.covariance": column((1e-4, 1e-4, 2.5e-5))[0],
-        }
-        fields |= {
-            "pose.pose.orientation.z": math.sin(0.5 * theta),
-            "pose.pose.orientation.w": math.cos(0.5 * theta),
-        }
+        values = {"position.x": x, "position.y": y}
+        values |= {"orientation.z": math.sin(0.5 * theta), "orientation.w": math.cos(0.5 * theta)}
+        fields = {f"pose.pose.{name}": value for name, value in values.items()}
+        fields["pose.covariance"] = column((1e-4, 1e-4, 2.5e-5))[0]
         poses.append(RawMessage(SLAM, WITH_COVARIANCE, m.log_ns, m.stamp_ns, "slam_map", fields))
     drive.add(poses)
     return drive.record(tmp_path_factory.mktemp("pose") / "slam.mcap")
@@ -244,12 +234,9 @@ def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:
     at = drive.on(trap_logs.TRUTH)[0]
     pose = {"pose.position.x": 1.0, "pose.position.y": 1.0, "pose.orientation.w": 1.0}
     speed = {"twist.linear.x": 0.1, "twist.angular.z": 0.0}
-    drive.add(
-        [
-            RawMessage("/goal_pose", "geometry_msgs/msg/PoseStamped", at.log_ns, at.stamp_ns, "map", pose),
-            RawMessage("/cmd_vel", "geometry_msgs/msg/TwistStamped", at.log_ns, at.stamp_ns, "base_link", speed),
-        ]
-    )
+    when, kinds = (at.log_ns, at.stamp_ns), "geometry_msgs/msg/"
+    goal = RawMessage("/goal_pose", f"{kinds}PoseStamped", *when, "map", pose)
+    drive.add([goal, RawMessage("/cmd_vel", f"{kinds}TwistStamped", *when, "base_link", speed)])
     told = locfuse("info", drive.record(tmp_path / "wishes.mcap")).stdout
     assert "if you name it" not in told
 
@@ -269,12 +256,10 @@ def test_a_frame_that_is_not_the_map_is_named(log: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [
-        ((f"pose.topic={trap_logs.TRUTH}",), f"{trap_logs.TRUTH} is read as truth already: it would judge itself"),
-        (("pose.topic=/scan",), "/scan is sensor_msgs/msg/LaserScan; accepted: nav_msgs/Odometry"),
-        ((f"pose.topic={SLAM}", "pose.sigma=0"), "sigma = 0.0: no sensor is exact"),
-    ],
-)
+    [((f"pose.topic={trap_logs.TRUTH}",), f"{trap_logs.TRUTH} is read as truth already: it would judge itself"),
+     (("pose.topic=/scan",), "/scan is sensor_msgs/msg/LaserScan; accepted: nav_msgs/Odometry"),
+     ((f"pose.topic={SLAM}", "pose.sigma=0"), "sigma = 0.0: no sensor is exact")],
+)  # fmt: skip
 def test_what_cannot_be_is_one_line(log: Path, words: tuple[str, ...], said: str) -> None:
     assert said in refused("run", log, *(w for word in words for w in ("--set", word)), code=None)
 
@@ -334,6 +319,7 @@ def test_way_and_turn_are_compared_with_the_chord_of_an_arc(turn: float) -> None
     R = np.diag((0.04 + 0.01 * 0.36 + 1e-3, 0.03 + 0.01 * turn**2 + 2e-3))
     np.testing.assert_allclose(noise, R, atol=1e-12)
     assert columns == (3, 4, 5)
+    assert all(math.isnan(chord_length(1.0, no_number)) for no_number in (math.nan, math.inf, -math.inf))
 
 
 def test_the_first_reading_and_one_after_a_gap_only_begin() -> None:
@@ -341,9 +327,3 @@ def test_the_first_reading_and_one_after_a_gap_only_begin() -> None:
     assert model.innovations(summed(0.1, piece=1.0), 1, belief) == []
     fresh = Twist().model(SETTINGS)
     assert fresh.innovations(summed(0.1), 1, belief) == []
-
-
-@pytest.mark.parametrize("turn", [math.nan, math.inf, -math.inf])
-def test_a_turn_that_is_no_number_gives_no_chord(turn: float) -> None:
-    assert math.isnan(chord_length(1.0, turn))
-    assert chord_length(1.5, 0.0) == 1.5

@@ -47,13 +47,8 @@ def package(
 
 def in_a_process(*words: object, path: Path) -> subprocess.CompletedProcess[str]:
     """Run the command in a process of its own, with the packages of these folders."""
-    return subprocess.run(
-        [sys.executable, "-m", "locfuse", *map(str, words)],
-        env={**os.environ, "PYTHONPATH": str(path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command, env = (sys.executable, "-m", "locfuse", *map(str, words)), {**os.environ, "PYTHONPATH": str(path)}
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -91,9 +86,8 @@ SET = ("--set", f"beacon.place=[{PLACE[0]}, {PLACE[1]}]")
 def compared(log: Path) -> Path:
     out = log.parent / "out"
     words = ("--sensors", "odometry", "--sensors", "beacon", "--sensors", "all")
-    done = ok(
-        "compare", log, "-v", "--write", "all", *SET, "-o", out, "--rerun-save", log.parent / "beacon.rrd", *words
-    )
+    recording = ("--rerun-save", log.parent / "beacon.rrd")
+    done = ok("compare", log, "-v", "--write", "all", *SET, "-o", out, *recording, *words)
     (log.parent / "stdout.txt").write_text(done.stdout)
     return out
 

@@ -45,13 +45,8 @@ def drawn(seed: int, robot: Robot, laps: float = 1.0, sensors: tuple[str, ...] =
     if "lrf" in measurements:  # R_unit was made for the sigma that was told
         m, walls = measurements["lrf"], robot.settings("lrf").sigma_range
         measurements["lrf"] = replace(m, R_unit=m.R_unit * (walls / 0.02) ** 2)
-    return replace(
-        drive, motions=motions, measurements=measurements, truth_motions=None, truth_instant=None, truth=None
-    )
-
-
-def nothing_but(theta: float) -> NoiseFactors:
-    return NoiseFactors(np.array([math.exp(theta)]), np.array([[math.exp(theta)]]), {})
+    untrue = replace(drive, truth_motions=None, truth_instant=None, truth=None)
+    return replace(untrue, motions=motions, measurements=measurements)
 
 
 def innovations_likelihood(drive: Drive, robot: Robot) -> float:
@@ -65,7 +60,7 @@ def innovations_likelihood(drive: Drive, robot: Robot) -> float:
 def test_a_tape_played_as_recorded_says_what_the_filter_said(offset: dict[str, float]) -> None:
     robot = told(**offset)
     drive = drawn(1, robot, sensors=("compass",))
-    played = play(record(drive, robot, ["compass"]), nothing_but(0.0))
+    played = play(record(drive, robot, ["compass"]), NoiseFactors(np.ones(1), np.ones((1, 1)), {}))
     assert played.scores.sum() == pytest.approx(innovations_likelihood(drive, robot), rel=1e-9)
     assert played.numbers.sum() == len(drive.measurements["compass"].t)
 
@@ -78,11 +73,9 @@ def test_a_tape_played_with_other_noise_says_what_the_filter_would_say_with_it()
     for wheels, compass in ((4.0, 1.0), (1.0, 4.0), (0.3, 2.0)):
         noise = NoiseFactors(np.array([1.0, wheels]), np.array([[1.0], [compass]]), {})
         m = drive.measurements["compass"]
-        other = replace(
-            drive,
-            motions=replace(drive.motions, Q=wheels * drive.motions.Q),
-            measurements={"compass": replace(m, scale=math.sqrt(compass) * m.scale)},
-        )
+        louder = replace(drive.motions, Q=wheels * drive.motions.Q)
+        seen = {"compass": replace(m, scale=math.sqrt(compass) * m.scale)}
+        other = replace(drive, motions=louder, measurements=seen)
         scores = play(tape, noise).scores.sum(axis=1)
         assert scores[0] == pytest.approx(innovations_likelihood(drive, robot), rel=1e-9)
         assert scores[1] == pytest.approx(innovations_likelihood(other, robot), rel=1e-9)
@@ -95,9 +88,8 @@ def test_a_tape_with_a_map_says_nearly_what_the_filter_would_say_with_other_nois
     tape = record(drive, robot, ["compass", "lrf"])
     louder = replace(drive, motions=replace(drive.motions, Q=2.0 * drive.motions.Q))
     as_told, more = play(tape, NoiseFactors(np.array([1.0, 2.0]), np.ones((2, 2)), {})).scores.sum(axis=1)
-    again = play(
-        record(louder, robot, ["compass", "lrf"]), NoiseFactors(np.ones(1), np.ones((1, 2)), {})
-    ).scores.sum()
+    factors = NoiseFactors(np.ones(1), np.ones((1, 2)), {})
+    again = play(record(louder, robot, ["compass", "lrf"]), factors).scores.sum()
     assert more - as_told == pytest.approx(again - as_told, abs=0.2)
     assert abs(more - as_told) > 5.0
 
@@ -110,10 +102,8 @@ def tuned() -> Callable[[float], Tuned]:
     def of(factor: float) -> Tuned:
         if factor not in found:
             robot = told(factor)
-            trials = [
-                TuneLog(f"drive {s}", drawn(s, robot), robot, until)
-                for s, until in ((5, math.inf), (6, -math.inf))
-            ]
+            both = ((5, math.inf), (6, -math.inf))
+            trials = [TuneLog(f"drive {s}", drawn(s, robot), robot, until) for s, until in both]
             found[factor] = tune(trials, ["compass", "lrf"])
         return found[factor]
 
@@ -150,14 +140,11 @@ def test_noise_that_nothing_depends_on_is_left_as_it_was() -> None:
     """At rest the wheels say nothing of their noise."""
     robot = told(3.0)
     drive = drawn(8, robot, laps=0.25)
-    still = replace(
-        drive, motions=type(drive.motions)(0.0 * drive.motions.u, 0.0 * drive.motions.Q, drive.motions.J)
-    )
-    at = drive.measurements["compass"].t
-    rng = np.random.default_rng(9)
-    z = np.radians(rng.normal(size=(len(at), 1)))
-    compass = replace(drive.measurements["compass"], z=z)
-    found = tune([TuneLog("rest", replace(still, measurements={"compass": compass}), robot)], ["compass"])
+    motions = replace(drive.motions, u=0.0 * drive.motions.u, Q=0.0 * drive.motions.Q)
+    m = drive.measurements["compass"]
+    compass = replace(m, z=np.radians(np.random.default_rng(9).normal(size=m.z.shape)))
+    still = replace(drive, motions=motions, measurements={"compass": compass})
+    found = tune([TuneLog("rest", still, robot)], ["compass"])
     wheels, sigma = found.rows
     assert not wheels.identifiable
     assert wheels.after == wheels.before == pytest.approx(9.0 * small_drive.NOISE)

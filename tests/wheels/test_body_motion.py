@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -73,12 +74,7 @@ def test_an_odometry_that_only_tf_has_gives_what_the_same_odometry_topic_gives(t
 
 
 def test_mounts_come_from_tf_where_nothing_is_static(tmp_path: Path) -> None:
-    scan = {
-        "angle_min": -1.5,
-        "angle_increment": 0.1,
-        "range_max": 10.0,
-        "ranges": [2.0 + 0.05 * i for i in range(30)],
-    }
+    scan = {"angle_min": -1.5, "angle_increment": 0.1, "range_max": 10.0, "ranges": [2.0] * 30}
     t = np.arange(0.1, DURATION, 0.5)
     scans = messages("/scan", "sensor_msgs/msg/LaserScan", t, [scan] * len(t), "laser")
     mount = ("base_link", "laser", (0.12, -0.03, 0.5))
@@ -123,12 +119,6 @@ def test_two_frames_of_tf_are_the_truth_where_they_are_named(tmp_path: Path) -> 
     found = reported("compare", log, *words).rows["odometry"]
     expected = 0.1 * math.sqrt(float(np.square(CIRCLE[:, :2]).sum(axis=1).mean()))
     assert found["position_rmse_m"] == pytest.approx(expected, rel=1e-3)
-
-
-@pytest.mark.parametrize("wrap", [1, 2], ids=["TwistStamped", "TwistWithCovarianceStamped"])
-def test_a_measured_twist_drives_its_circle(wrap: int, tmp_path: Path) -> None:
-    pose, _ = final(log_of(tmp_path / "x.mcap", speeds("/wheel_velocity", wrap=wrap)))
-    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
 
 
 def test_a_commanded_twist_is_the_last_resort_and_no_figure_of_it_means_anything(tmp_path: Path) -> None:
@@ -201,20 +191,6 @@ def test_a_command_lasts_until_the_next_one_and_a_second_at_most() -> None:
     np.testing.assert_allclose(at, [0.5, 2.5, 2.5, 2.5, 3.1], atol=1e-9)  # 0.5 s of 1, 1 s of 2, 0.2 s of 3 m/s
 
 
-def test_poses_of_another_program_stand_in_where_nothing_measured_the_motion(tmp_path: Path) -> None:
-    log = log_of(
-        tmp_path / "x.mcap",
-        poses_in("map", T, CIRCLE, "/slam/pose"),
-        poses_in("map", T, CIRCLE, "/move_base_simple/goal"),
-    )
-    pose, report = final(log)
-    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
-    assert "/slam/pose holds poses that another program estimated" in json.dumps(report)
-    pose, report = final(log_of(tmp_path / "tf.mcap", tf(T, CIRCLE, parent="world", child="turtle1")))
-    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
-    assert "/tf:world:turtle1 holds poses" in json.dumps(report)
-
-
 KOBUKI_TEXT = (
     "std_msgs/Header header\nuint16 time_stamp\nuint8 bumper\nuint8 wheel_drop\nuint8 cliff\n"
     "uint16 left_encoder\nuint16 right_encoder\nint8 left_pwm\nint8 right_pwm\nuint8 buttons\nuint8 charger\n"
@@ -235,46 +211,61 @@ def test_a_turtlebot_2_is_recognised_and_its_counters_of_16_bits_roll_over(tmp_p
     assert pose[:2] == pytest.approx(pose_of(counts * 2 * math.pi / 2578.33, 0.035, 0.23)[:2], abs=1e-6)
 
 
+ACKERMANN = "ackermann_msgs/msg/AckermannDrive"
 SIDES = [(SPEED + side * RATE * TRACK / 2) / RADIUS for side in (-1, 1)]  # rad/s of the left and the right wheel
 TURTLE_POSES = [{"x": x + 5.5, "y": y + 5.5, "theta": math.remainder(a, math.tau)} for x, y, a in CIRCLE.tolist()]
 
 
-@pytest.mark.parametrize(
-    ("topic", "kind", "fields", "rows", "words"),
-    [
-        ("/duck/car_cmd_switch_node/cmd", "duckietown_msgs/msg/Twist2DStamped", "v omega", [SPEED, RATE],
-         ("--set", "wheels.topic=/duck/car_cmd_switch_node/cmd")),
-        ("/vehicle/status/velocity_status", "autoware_vehicle_msgs/msg/VelocityReport",
-         "longitudinal_velocity lateral_velocity heading_rate", [SPEED, 0.0, RATE], ()),
-        ("/turtle1/pose", "turtlesim/msg/Pose", "x y theta linear_velocity angular_velocity", TURTLE_POSES, ()),
-        ("/wheel_vels", "irobot_create_msgs/msg/WheelVels", "velocity_left velocity_right", SIDES, GEOMETRY),
-        ("/drive", "ackermann_msgs/msg/AckermannDrive",
-         "steering_angle steering_angle_velocity speed acceleration jerk",
-         [math.atan(RATE * 0.33 / SPEED), 0.0, SPEED, 0.0, 0.0], ("--set", "wheels.wheelbase=0.33")),
-    ],
-    ids=["duckietown", "autoware", "turtlesim", "create", "ackermann"],
-)  # fmt: skip
-def test_messages_of_other_packages_drive_their_circle(
-    topic: str, kind: str, fields: str, rows: list[Any], words: tuple[str, ...], tmp_path: Path
-) -> None:
-    names = fields.split()
-    stamped = "" if "turtlesim" in kind or kind.endswith("Drive") else "std_msgs/Header header\n"
-    text = stamped + "".join(f"float32 {name}\n" for name in names)
+def package(kind: str, topic: str, fields: str, rows: list[Any]) -> Callable[[Path], Path]:
+    """What writes a log of messages of single precision: the same row at all times T, or one row a time."""
+    names, head = fields.split(), "" if kind in {"turtlesim/msg/Pose", ACKERMANN} else "std_msgs/Header header\n"
+    text = head + "".join(f"float32 {name}\n" for name in names)
     said = rows if isinstance(rows[0], dict) else [dict(zip(names, rows, strict=True))] * len(T)
-    log = custom(tmp_path / "x.mcap", topic, kind, text, T, said)
-    if kind.endswith("Drive"):
-        assert "fill in wheels.wheelbase" in locfuse("init", log).stderr
-    pose, _ = final(log, *words)
-    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-3)  # the messages hold single precision
+    return lambda path: custom(path, topic, kind, text, T, said)
 
 
-def test_joint_states_of_speeds_alone_are_integrated_and_that_is_said(tmp_path: Path) -> None:
+def wheel_speeds(path: Path) -> Path:
+    """Joint states without angles, or with angles that are no numbers."""
     empty: tuple[dict[str, Any], ...] = ({}, {"position": [math.nan, math.nan]})
     rows = ({"name": ["left_wheel", "right_wheel"], "velocity": SIDES, **empty[i % 2]} for i in range(len(T)))
-    said = messages("/joint_states", "sensor_msgs/msg/JointState", T, rows, "base_link")
-    pose, report = final(log_of(tmp_path / "x.mcap", said), *GEOMETRY)
-    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
-    assert "it gives speeds and no angles: they are integrated" in json.dumps(report)
+    return log_of(path, messages("/joint_states", "sensor_msgs/msg/JointState", T, rows, "base_link"))
+
+
+ESTIMATED = "{} holds poses that another program estimated"
+GOALS = ("/slam/pose", "/move_base_simple/goal")
+LOGS: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], str, float]] = {  # log, words, what is said, m
+    "TwistStamped": (lambda p: log_of(p, speeds("/v")), (), "", 1e-9),
+    "TwistWithCovarianceStamped": (lambda p: log_of(p, speeds("/v", wrap=2)), (), "", 1e-9),
+    "wheel speeds": (wheel_speeds, GEOMETRY, "it gives speeds and no angles: they are integrated", 1e-9),
+    "poses": (lambda p: log_of(p, *(poses_in("map", T, CIRCLE, topic) for topic in GOALS)), (),
+              ESTIMATED.format("/slam/pose"), 1e-9),
+    "frames": (lambda p: log_of(p, tf(T, CIRCLE, parent="world", child="turtle1")), (),
+               ESTIMATED.format("/tf:world:turtle1"), 1e-9),
+    "odometry in the map": (lambda p: log_of(p, odometry(T, CIRCLE, "/carla/odometry", "world")), (),
+                            ESTIMATED.format("/carla/odometry"), 1e-9),
+    "duckietown": (package("duckietown_msgs/msg/Twist2DStamped", "/duck/cmd", "v omega", [SPEED, RATE]),
+                   ("--set", "wheels.topic=/duck/cmd"), "", 1e-3),
+    "autoware": (package("autoware_vehicle_msgs/msg/VelocityReport", "/vehicle/status/velocity_status",
+                         "longitudinal_velocity lateral_velocity heading_rate", [SPEED, 0.0, RATE]), (), "", 1e-3),
+    "turtlesim": (package("turtlesim/msg/Pose", "/turtle1/pose", "x y theta linear_velocity angular_velocity",
+                          TURTLE_POSES), (), "", 1e-3),
+    "create": (package("irobot_create_msgs/msg/WheelVels", "/wheel_vels", "velocity_left velocity_right", SIDES),
+               GEOMETRY, "", 1e-3),
+    "ackermann": (package(ACKERMANN, "/drive", "steering_angle steering_angle_velocity speed acceleration jerk",
+                          [math.atan(RATE * 0.33 / SPEED), 0.0, SPEED, 0.0, 0.0]),
+                  ("--set", "wheels.wheelbase=0.33"), "", 1e-3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_messages_of_every_kind_drive_their_circle(kind: str, tmp_path: Path) -> None:
+    write, words, said, off = LOGS[kind]
+    log = write(tmp_path / "x.mcap")
+    if kind == "ackermann":
+        assert "fill in wheels.wheelbase" in locfuse("init", log).stderr
+    pose, report = final(log, *words)
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=off)
+    assert said in json.dumps(report)
 
 
 def test_ticks_of_a_duckiebot_come_one_wheel_a_topic() -> None:
@@ -283,19 +274,12 @@ def test_ticks_of_a_duckiebot_come_one_wheel_a_topic() -> None:
     kind = "duckietown_msgs/msg/WheelEncoderStamped"
     ns = np.array(stamps(t))
     sides = (
-        ArrayStream(f"/bot/{s}_wheel_encoder_node/tick", kind, ns, {"data": ticks[:, i]})
-        for i, s in enumerate(("left", "right"))
+        ArrayStream(f"/bot/{side}_wheel_encoder_node/tick", kind, ns, {"data": counted})
+        for side, counted in zip(("left", "right"), ticks.T, strict=True)
     )
     known = WheelSettings(radius=RADIUS, track=TRACK, ticks_per_revolution=135)
     pose = read_wheels(MergedStream(tuple(sides)), known).wheels.pose[-1]
     np.testing.assert_allclose(pose, pose_of(ticks * 2 * math.pi / 135), atol=1e-9)
-
-
-def test_a_steering_angle_without_a_wheelbase_is_refused() -> None:
-    data = {"drive.speed": np.full(len(T), SPEED), "drive.steering_angle": np.full(len(T), 0.1)}
-    stream = ArrayStream("/drive", "ackermann_msgs/msg/AckermannDriveStamped", np.array(stamps(T)), data)
-    with pytest.raises(LocfuseError, match=r"--set wheels\.wheelbase"):
-        read_wheels(stream, WheelSettings())
 
 
 @pytest.mark.parametrize("backward", [1.0, -1.0])
@@ -313,29 +297,26 @@ def test_a_steering_turns_by_its_tangent_over_the_wheelbase_or_is_a_turning_rate
     stream = ArrayStream("/drive", "ackermann_msgs/msg/AckermannDriveStamped", np.array(stamps(T)), data)
     pose = read_wheels(stream, WheelSettings(steering=steering, wheelbase=0.33)).wheels.pose[-1]
     np.testing.assert_allclose(pose, CIRCLE[-1] * (backward, backward, 1.0), atol=1e-9)
+    if steering == "angle":
+        with pytest.raises(LocfuseError, match=r"--set wheels\.wheelbase"):
+            read_wheels(stream, WheelSettings())
 
 
-def test_an_odometry_that_stands_while_a_twist_moves_is_refused_in_words(tmp_path: Path) -> None:
-    still = odometry(T, np.zeros_like(CIRCLE))
+def test_an_odometry_that_stands_while_a_twist_or_fixes_move_is_refused_in_words(tmp_path: Path) -> None:
+    still, out = odometry(T, np.zeros_like(CIRCLE)), tmp_path / "out"
+    rows = ({"latitude": 48.0 + 1e-5 * i, "longitude": 11.0} for i in range(len(T[::10])))
+    fixes = messages("/fix", "sensor_msgs/msg/NavSatFix", T[::10], rows, "gps")
+    by_fixes = locfuse("run", log_of(tmp_path / "x.mcap", still, fixes), "-o", out)
+    assert by_fixes.exit_code == 3
+    assert "/odom never moves, but the fixes of /fix lie up to" in by_fixes.stderr
     log = log_of(tmp_path / "x.mcap", still, speeds("/wheel_velocity"))
-    done = locfuse("run", log, "-o", tmp_path / "out")
+    done = locfuse("run", log, "-o", out)
     assert done.exit_code == 3
     assert "/odom never moves, but /wheel_velocity moves 8.0 m" in done.stderr
     assert "--set wheels.topic=/wheel_velocity" in done.stderr
     pose, _ = final(log, "--set", "wheels.topic=/wheel_velocity")
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
-    alone = log_of(tmp_path / "alone.mcap", still)
-    assert locfuse("run", alone, "-o", tmp_path / "out2").exit_code == 0
-
-
-def test_an_odometry_that_stands_while_fixes_move_is_refused_in_words(tmp_path: Path) -> None:
-    t = T[::10]
-    rows = ({"latitude": 48.0 + 1e-5 * i, "longitude": 11.0} for i in range(len(t)))
-    fixes = messages("/fix", "sensor_msgs/msg/NavSatFix", t, rows, "gps")
-    log = log_of(tmp_path / "x.mcap", odometry(T, np.zeros_like(CIRCLE)), fixes)
-    done = locfuse("run", log, "-o", tmp_path / "out")
-    assert done.exit_code == 3
-    assert "/odom never moves, but the fixes of /fix lie up to" in done.stderr
+    assert locfuse("run", log_of(tmp_path / "alone.mcap", still), "-o", tmp_path / "out2").exit_code == 0
 
 
 @pytest.mark.parametrize(("mirrored", "signs"), [("right", (1, -1)), ("left", (-1, 1)), ("both", (-1, -1))])
@@ -343,9 +324,8 @@ def test_mirrored_wheels_hide_no_radius_and_track(mirrored: str, signs: tuple[in
     t, angle = angles(40.0)
     poses = np.array([pose_of(angle[: i + 1]) for i in range(0, len(t), 5)])
     log = log_of(tmp_path / "x.mcap", joint_states(t, angle * signs), odometry(t[::5], poses))
-    (found,) = (
-        f for f in json.loads(locfuse("info", log, "--json").stdout)["findings"] if f["code"] == "geometry"
-    )
+    known = json.loads(locfuse("info", log, "--json").stdout)["findings"]
+    (found,) = (f for f in known if f["code"] == "geometry")
     fixes = dict(fix.split("=") for fix in found["fixes"])
     assert fixes["wheels.mirrored"] == mirrored
     assert [float(fixes[f"wheels.{k}"]) for k in ("radius", "track")] == pytest.approx([RADIUS, TRACK], rel=0.02)

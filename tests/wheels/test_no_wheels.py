@@ -11,6 +11,7 @@ from bags import real_log, write
 from commands import locfuse, ok, reported
 from laser_room import PERIOD, ROOM, circle, ranges_of, scan_stream, scans_of
 from msgspec.structs import replace
+from present import present
 from ring_drive import box
 from wheel_bags import stamps
 
@@ -166,12 +167,9 @@ def test_the_covariance_of_matches_adds_up_as_a_textbook_adds_it() -> None:
 
 def test_noise_scales_the_covariance() -> None:
     t, truth = circle(6.0)
-    stream, laser = stream_of(t, truth, ROOM), laser_of(LrfSettings())
-    found = match_scans(stream, laser)
-    once, four = (found.reading(WheelSettings(noise=n), 0.0).wheels for n in (4e-4, 16e-4))
-    assert once.matched is not None
-    assert four.matched is not None
-    np.testing.assert_allclose(four.matched, 4.0 * once.matched)
+    found = match_scans(stream_of(t, truth, ROOM), laser_of(LrfSettings()))
+    once, four = (present(found.reading(WheelSettings(noise=n), 0.0).wheels.matched) for n in (4e-4, 16e-4))
+    np.testing.assert_allclose(four, 4.0 * once)
 
 
 def test_scans_of_nothing_of_one_stamp_or_unmatched_are_one_line() -> None:
@@ -221,9 +219,10 @@ def test_one_sensor_alone_moves_as_in_a_comparison(tmp_path: Path) -> None:
     """`run` leaves the laser out as a sensor: where it sits counts all the same."""
     log = laser_bag(tmp_path / "laser.mcap")
     mount = ("--set", "lrf.x=0.3")
-    one = locfuse("run", log, "--no-advice", "--sensors", "odometry", "-o", tmp_path / "one", *mount)
-    all_ = locfuse("compare", log, "--no-advice", "-o", tmp_path / "all", "--write", "tum", *mount)
-    assert (one.exit_code, all_.exit_code) == (0, 0), one.stderr + all_.stderr
+    recording = ("--rerun-save", tmp_path / "x.rrd")
+    ok("run", log, "--no-advice", "--sensors", "odometry", "-o", tmp_path / "one", *mount, *recording)
+    ok("compare", log, "--no-advice", "-o", tmp_path / "all", "--write", "tum", *mount)
+    assert (tmp_path / "x.rrd").stat().st_size > 10_000
     a, b = (np.loadtxt(f)[-1] for f in (tmp_path / "one/trajectory.tum", tmp_path / "all/scan matching.tum"))
     np.testing.assert_allclose(a, b, atol=1e-9)
 
@@ -234,12 +233,6 @@ def test_another_clock_of_the_laser_moves_all_sensors_with_it(tmp_path: Path) ->
     later = session.with_settings(["lrf.time_offset=0.5", "lrf.x=0.1"])
     assert later.drive.epoch_ns - session.drive.epoch_ns == 500_000_000
     np.testing.assert_allclose(later.drive.measurements["lrf"].t, session.drive.measurements["lrf"].t, atol=1e-6)
-
-
-def test_a_recording_for_rerun_holds_a_drive_without_wheels(tmp_path: Path) -> None:
-    log = laser_bag(tmp_path / "laser.mcap")
-    ok("run", log, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "out", "--rerun-save", tmp_path / "x.rrd")
-    assert (tmp_path / "x.rrd").stat().st_size > 10_000
 
 
 def test_a_real_log_of_a_laser_alone_is_used() -> None:

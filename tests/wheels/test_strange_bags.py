@@ -46,7 +46,6 @@ from locfuse.fusion.wheels.geometry import by_odometry
 from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.sources import joint_names
 
-SCAN = "sensor_msgs/msg/LaserScan"
 T = np.arange(0.0, 5.01, 0.1)
 CIRCLE = on_circle(RATE * T)
 STANDING = np.zeros_like(CIRCLE)
@@ -70,13 +69,9 @@ def mount(parent: str, child: str) -> list[Said]:
 
 
 def scans(topic: str, frame: str = "laser") -> list[Said]:
-    data: dict[str, Any] = {
-        "angle_min": -1.5,
-        "angle_increment": 0.1,
-        "range_max": 10.0,
-        "ranges": [2.0 + 0.05 * i for i in range(30)],
-    }
-    return messages(topic, SCAN, T, [data] * len(T), frame)
+    data: dict[str, Any] = {"angle_min": -1.5, "angle_increment": 0.1, "range_max": 10.0}
+    data["ranges"] = [2.0 + 0.05 * i for i in range(30)]
+    return messages(topic, "sensor_msgs/msg/LaserScan", T, [data] * len(T), frame)
 
 
 def opened(tmp_path: Path, *said: list[Said]) -> Log:
@@ -99,37 +94,26 @@ def end_of(log: Log) -> Array:
 
 @pytest.mark.parametrize(
     ("wheels", "other"),
-    [
-        ("/husky_velocity_controller/odom", "/odometry/filtered"),
-        ("/odom/unfiltered", "/odom"),
-        ("/odom", "/zed/zed_node/odom"),
-        ("/base_odometry/odom", "/robot_pose_ekf/odom_combined"),
-        ("/odometry/wheels", "/odom"),
-        ("/odom_enc", "/odom"),
-        ("/odom", "/odom_rf2o"),
-        ("/odometry/filtered", "/odometry/gps"),
-    ],
-)
+    [("/husky_velocity_controller/odom", "/odometry/filtered"), ("/odom/unfiltered", "/odom"),
+     ("/odom", "/zed/zed_node/odom"), ("/base_odometry/odom", "/robot_pose_ekf/odom_combined"),
+     ("/odometry/wheels", "/odom"), ("/odom_enc", "/odom"), ("/odom", "/odom_rf2o"),
+     ("/odometry/filtered", "/odometry/gps")],
+)  # fmt: skip
 def test_an_odometry_of_wheels_is_taken_before_one_made_of_more(wheels: str, other: str, tmp_path: Path) -> None:
     log = opened(tmp_path, driven(wheels), driven(other, STANDING))
     choice = chosen(log)
     assert choice.of("wheels") == (wheels,)
     (note,) = choice.notes
-    assert note.role == "wheels"
+    assert (note.role, note.fixes) == ("wheels", (f"wheels.topic={wheels}",))
     assert note.words.startswith(f"{wheels} is used: {other} looks made of more")
-    assert note.fixes == (f"wheels.topic={wheels}",)
     assert end_of(log) == pytest.approx(CIRCLE[-1], abs=1e-6)
 
 
 @pytest.mark.parametrize(
     ("used", "other"),
-    [
-        ("/scan_front", "/scan_back"),
-        ("/f_scan", "/b_scan"),
-        ("/scan", "/scan_filtered"),
-        ("/base_scan", "/tilt_scan"),
-    ],
-)
+    [("/scan_front", "/scan_back"), ("/f_scan", "/b_scan"), ("/scan", "/scan_filtered"),
+     ("/base_scan", "/tilt_scan")],
+)  # fmt: skip
 def test_of_several_lasers_the_likeliest_is_used_and_said(used: str, other: str, tmp_path: Path) -> None:
     choice = chosen(opened(tmp_path, driven("/odom"), scans(used), scans(other)))
     assert choice.of("lrf") == (used,)
@@ -160,51 +144,36 @@ def test_init_writes_the_laser_that_is_used_and_calls_it_a_guess(tmp_path: Path)
 @pytest.mark.parametrize(
     ("joints", "pair"),
     [
-        (("l_wheel_joint", "r_wheel_joint", "torso_lift_joint"), ("l_wheel_joint", "r_wheel_joint")),
-        (
-            ("fl_wheel_joint", "fr_wheel_joint", "rl_wheel_joint", "rr_wheel_joint"),
-            ("rl_wheel_joint", "rr_wheel_joint"),
-        ),
-        (
-            ("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel"),
-            ("rear_left_wheel", "rear_right_wheel"),
-        ),
-        (
-            ("left_wheel_joint", "right_wheel_joint", "wheel_drop_left_joint", "wheel_drop_right_joint"),
-            ("left_wheel_joint", "right_wheel_joint"),
-        ),
-        (
-            ("left_front_steer_wheel", "right_front_steer_wheel", "left_back_wheel", "right_back_wheel"),
-            ("left_back_wheel", "right_back_wheel"),
-        ),
+        ("l_wheel_joint r_wheel_joint torso_lift_joint", "l_wheel_joint r_wheel_joint"),
+        ("fl_wheel_joint fr_wheel_joint rl_wheel_joint rr_wheel_joint", "rl_wheel_joint rr_wheel_joint"),
+        ("front_left_wheel front_right_wheel rear_left_wheel rear_right_wheel",
+         "rear_left_wheel rear_right_wheel"),
+        ("left_wheel_joint right_wheel_joint wheel_drop_left_joint wheel_drop_right_joint",
+         "left_wheel_joint right_wheel_joint"),
+        ("left_front_steer_wheel right_front_steer_wheel left_back_wheel right_back_wheel",
+         "left_back_wheel right_back_wheel"),
     ],
-)
-def test_wheels_are_known_by_names_that_robots_give_them(joints: tuple[str, ...], pair: tuple[str, str]) -> None:
-    assert joint_names([joints], "/joint_states", WheelSettings()) == pair
+)  # fmt: skip
+def test_wheels_are_known_by_names_that_robots_give_them(joints: str, pair: str) -> None:
+    assert joint_names([tuple(joints.split())], "/joint_states", WheelSettings()) == tuple(pair.split())
 
 
 @pytest.mark.parametrize(
     "joints",
-    [
-        ("l_elbow", "r_elbow"),
-        ("front_left_hip_x", "front_right_hip_x"),
-        ("fl_caster_l_wheel_joint", "fl_caster_r_wheel_joint"),
-    ],
+    ["l_elbow r_elbow", "front_left_hip_x front_right_hip_x", "fl_caster_l_wheel_joint fl_caster_r_wheel_joint"],
 )
-def test_arms_and_casters_are_no_wheels(joints: tuple[str, ...]) -> None:
+def test_arms_and_casters_are_no_wheels(joints: str) -> None:
     with pytest.raises(LocfuseError, match="no joint is named like the left wheel"):
-        joint_names([joints], "/joint_states", WheelSettings())
+        joint_names([tuple(joints.split())], "/joint_states", WheelSettings())
 
 
 def test_where_nobody_knows_the_size_of_the_wheels_the_laser_says_how_the_robot_moved(tmp_path: Path) -> None:
-    """With half of the size given somebody means the wheels: then the other half is asked for."""
     t, angle = angles(5.0)
     log = opened(tmp_path, joint_states(t, angle), scans("/scan"))
     choice = chosen(log)
     assert choice.of("wheels") == ("/scan",)
-    assert choice.notes[0].words == (
-        "/scan is used, since wheel angles are in /joint_states but radius and track are unknown"
-    )
+    words = "/scan is used, since wheel angles are in /joint_states but radius and track are unknown"
+    assert choice.notes[0].words == words
     assert chosen(log, wheels={"radius": 0.05}).of("wheels") == ("/joint_states",)
     assert chosen(log, wheels={"radius": 0.05, "track": 0.3}).of("wheels") == ("/joint_states",)
 
@@ -229,16 +198,12 @@ def test_fixes_and_an_imu_alone_are_refused_in_a_line_that_says_what_is_missing(
         chosen(opened(tmp_path, numbers("/number", "Float64", T, T.tolist())))
 
 
-def arrays(topic: str, kind: str, t: Array, rows: Any) -> list[Said]:
-    return messages(topic, f"std_msgs/msg/{kind}MultiArray", t, ({"data": row} for row in rows))
-
-
 @pytest.mark.parametrize("kind", ["Int32", "Int64", "Float32"])
 def test_both_wheels_in_one_array_are_left_and_right(kind: str, tmp_path: Path) -> None:
     t, angle = angles(20.0)
     whole = kind != "Float32"
     rows = np.round(angle * TICKS / (2.0 * math.pi)).astype(int).tolist() if whole else angle.tolist()
-    log = opened(tmp_path, arrays("/wheel_ticks", kind, t, rows))
+    log = opened(tmp_path, numbers("/wheel_ticks", f"{kind}MultiArray", t, rows))
     sized: dict[str, Any] = {"radius": RADIUS, "track": TRACK}
     sized |= {"ticks_per_revolution": TICKS} if whole else {}
     choice = chosen(log, wheels=sized)
@@ -250,7 +215,7 @@ def test_both_wheels_in_one_array_are_left_and_right(kind: str, tmp_path: Path) 
 def test_of_an_array_of_four_nobody_guesses_which_are_the_wheels(tmp_path: Path) -> None:
     t, angle = angles(20.0)
     rows = np.column_stack((angle, angle))[:, [0, 2, 1, 3]]  # front left, rear left, front right, rear right
-    log = opened(tmp_path, arrays("/encoders", "Float64", t, rows.tolist()))
+    log = opened(tmp_path, numbers("/encoders", "Float64MultiArray", t, rows.tolist()))
     sized: dict[str, Any] = {"radius": RADIUS, "track": TRACK}
     with pytest.raises(LocfuseError, match=r"holds 4 numbers; .* --set wheels\.left=0 --set wheels\.right=3"):
         read_wheels(log.stream("/encoders"), WheelSettings(**sized))
@@ -259,10 +224,8 @@ def test_of_an_array_of_four_nobody_guesses_which_are_the_wheels(tmp_path: Path)
 
 
 def test_what_is_not_read_is_named_with_what_to_record_instead(tmp_path: Path) -> None:
-    kind = "livox_ros_driver2/msg/CustomMsg"
-    file = custom(
-        tmp_path / "x.mcap", "/livox/lidar", kind, "std_msgs/Header header\nuint32 point_num\n", T, [{}] * len(T)
-    )
+    kind, text = "livox_ros_driver2/msg/CustomMsg", "std_msgs/Header header\nuint32 point_num\n"
+    file = custom(tmp_path / "x.mcap", "/livox/lidar", kind, text, T, [{}] * len(T))
     with pytest.raises(LocfuseError) as refused:
         chosen(open_log([file]))
     assert "/livox/lidar (livox_ros_driver2/CustomMsg) holds points in Livox' own format" in str(refused.value)
@@ -275,15 +238,13 @@ def test_what_is_not_read_is_named_with_what_to_record_instead(tmp_path: Path) -
 
 @pytest.mark.parametrize(
     "said",
-    [
-        [*tf("robot1/odom", "robot1/base_link"), *mount("robot1/base_link", "laser")],
-        [*tf("odom", "chassis"), *mount("chassis", "laser")],
-        [*tf("/odom_combined", "/base"), *mount("/base", "/laser")],
-        [*tf("wheel_odom", "my_robot_body"), *mount("my_robot_body", "laser")],
-        [*tf("map", "ego_vehicle"), *mount("ego_vehicle", "laser")],
-    ],
+    [[*tf("robot1/odom", "robot1/base_link"), *mount("robot1/base_link", "laser")],
+     [*tf("odom", "chassis"), *mount("chassis", "laser")],
+     [*tf("/odom_combined", "/base"), *mount("/base", "/laser")],
+     [*tf("wheel_odom", "my_robot_body"), *mount("my_robot_body", "laser")],
+     [*tf("map", "ego_vehicle"), *mount("ego_vehicle", "laser")]],
     ids=["a robot's name before it", "another name", "slashes of ROS 1", "a name of its own", "moved in the map"],
-)
+)  # fmt: skip
 def test_a_mount_is_found_on_any_frame_that_is_the_body(said: Sequence[Said], tmp_path: Path) -> None:
     found = present(mount_of(transforms_of(opened(tmp_path, list(said)), ["laser"]), "laser"))
     assert [found.x, found.y, found.yaw] == pytest.approx([0.2, 0.1, math.pi / 2], abs=1e-9)
@@ -298,14 +259,8 @@ def test_a_frame_beside_the_body_is_not_taken_for_it(tmp_path: Path) -> None:
 def test_a_laser_that_moves_on_the_robot_is_left_out_with_what_moves(tmp_path: Path) -> None:
     """The odometry still runs; where somebody says where the laser stood, it is used."""
     swing = np.stack((np.zeros_like(T), np.zeros_like(T), 0.3 * np.sin(T)), axis=-1)
-    log = log_of(
-        tmp_path / "x.mcap",
-        driven("/odom"),
-        tf("odom", "base_link"),
-        tf("base_link", "pan_link", swing),
-        mount("pan_link", "laser"),
-        scans("/scan"),
-    )
+    moving = tf("odom", "base_link"), tf("base_link", "pan_link", swing), mount("pan_link", "laser")
+    log = log_of(tmp_path / "x.mcap", driven("/odom"), *moving, scans("/scan"))
     info = locfuse("info", log)
     assert "laser moves on the robot (pan_link in base_link by /tf)" in " ".join(info.stdout.split())
     assert "base's origin is assumed" not in info.stdout
@@ -322,20 +277,10 @@ def test_a_laser_that_moves_on_the_robot_is_left_out_with_what_moves(tmp_path: P
 def test_an_odometry_in_the_map_is_an_estimate_that_comes_after_what_the_wheels_said(tmp_path: Path) -> None:
     """A particle filter or a localisation publishes Odometry too; its frame says that it knows the room."""
     estimate = odometry(T, STANDING, "/pf/pose/odom", "map")
-    choice = chosen(opened(tmp_path, driven("/odom"), estimate))
-    assert choice.of("wheels") == ("/odom",)
-    assert "/pf/pose/odom looks made of more than the wheels" in choice.notes[0].words
-    choice = chosen(opened(tmp_path, speeds("/vehicle/twist", "base_link"), estimate))
-    assert choice.of("wheels") == ("/vehicle/twist",)
-    assert "/pf/pose/odom looks made of more than the wheels" in choice.notes[0].words
-
-
-def test_an_odometry_in_the_map_is_used_where_nothing_else_moves_and_called_an_estimate(tmp_path: Path) -> None:
-    log = opened(tmp_path, odometry(T, CIRCLE, "/carla/odometry", "world"), scans("/scan"))
-    choice = chosen(log)
-    assert choice.of("wheels") == ("/carla/odometry",)
-    assert "holds poses that another program estimated" in choice.notes[0].words
-    assert end_of(log) == pytest.approx(CIRCLE[-1], abs=1e-6)
+    for topic, wheels in (("/odom", driven("/odom")), ("/twist", speeds("/twist", "base_link"))):
+        choice = chosen(opened(tmp_path, wheels, estimate))
+        assert choice.of("wheels") == (topic,)
+        assert "/pf/pose/odom looks made of more than the wheels" in choice.notes[0].words
 
 
 def test_speeds_along_the_axes_of_odom_are_not_speeds_ahead(tmp_path: Path) -> None:
@@ -411,11 +356,10 @@ def test_a_clock_that_jumps_by_years_does_not_make_a_window_of_every_half_second
 
 def test_speeds_of_a_receiver_of_satellites_are_no_motion_of_the_body(tmp_path: Path) -> None:
     """They are given along east and north, and never turn."""
-    log = open_log([log_of(tmp_path / "x.mcap", speeds("/ublox/fix_velocity", "gps"), driven("/slam/odom"))])
-    assert chosen(log).topics["wheels"] == "/slam/odom"
-    alone = open_log([log_of(tmp_path / "y.mcap", speeds("/ublox/fix_velocity", "gps"))])
+    fixes = speeds("/ublox/fix_velocity", "gps")
+    assert chosen(opened(tmp_path, fixes, driven("/slam/odom"))).topics["wheels"] == "/slam/odom"
     with pytest.raises(LocfuseError, match="the robot's motion is unknown"):
-        chosen(alone)
+        chosen(opened(tmp_path, fixes))
 
 
 def test_wheels_whose_messages_are_all_malformed_are_called_so(tmp_path: Path) -> None:
@@ -428,15 +372,13 @@ def test_wheels_whose_messages_are_all_malformed_are_called_so(tmp_path: Path) -
 # ---- cars: a motor controller, commands of speed and steering, and which of several commands counts ----
 
 VESC_KIND = "vesc_msgs/msg/VescStateStamped"
-VESC_TEXT = (
-    f"std_msgs/Header header\nvesc_msgs/VescState state\n{'=' * 80}\nMSG: vesc_msgs/VescState\nfloat64 speed\n"
-)
+VESC_STATE = f"{'=' * 80}\nMSG: vesc_msgs/VescState\nfloat64 speed\n"
+VESC_TEXT = f"std_msgs/Header header\nvesc_msgs/VescState state\n{VESC_STATE}"
 ERPM, WHEELBASE, GAIN, OFFSET = 4614.0, 0.33, -1.2135, 0.5304  # of an F1TENTH car
 CAR = {"wheels.erpm_per_mps": ERPM, "wheels.wheelbase": WHEELBASE}
 ACKERMANN = "ackermann_msgs/msg/AckermannDrive"
-ACKERMANN_TEXT = "".join(
-    f"float32 {name}\n" for name in ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
-)
+ACKERMANN_FIELDS = ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
+ACKERMANN_TEXT = "".join(f"float32 {name}\n" for name in ACKERMANN_FIELDS)
 
 
 def end_of_run(logs: Sequence[Path], sets: Mapping[str, Any]) -> tuple[Array, str]:
@@ -447,9 +389,8 @@ def end_of_run(logs: Sequence[Path], sets: Mapping[str, Any]) -> tuple[Array, st
 
 def motor(path: Path) -> Path:
     """A motor controller that measures the speed of the circle."""
-    return custom(
-        path / "vesc.mcap", "/sensors/core", VESC_KIND, VESC_TEXT, T, [{"state": {"speed": ERPM * SPEED}}] * len(T)
-    )
+    rows = [{"state": {"speed": ERPM * SPEED}}] * len(T)
+    return custom(path / "vesc.mcap", "/sensors/core", VESC_KIND, VESC_TEXT, T, rows)
 
 
 def commanded(path: Path, topic: str, speed: float, angle: float = math.atan(RATE * WHEELBASE / SPEED)) -> Path:
@@ -465,6 +406,8 @@ def test_a_motor_and_the_steering_beside_it_are_a_motion(tmp_path: Path) -> None
     assert "erpm" not in notes
     _, notes = end_of_run(logs, {"wheels.wheelbase": WHEELBASE})
     assert "--set wheels.erpm_per_mps=<erpm> (speed_to_erpm_gain of vesc.yaml)" in notes
+    with pytest.raises(LocfuseError, match="no topic says how the car was steered"):
+        end_of_run(logs[:1], {**CAR, "wheels.topic": "/sensors/core"})
 
 
 def test_the_position_of_a_servo_says_how_a_car_was_steered(tmp_path: Path) -> None:
@@ -478,11 +421,6 @@ def test_the_position_of_a_servo_says_how_a_car_was_steered(tmp_path: Path) -> N
         end_of_run(logs, CAR)
 
 
-def test_a_motor_without_steering_is_refused_in_words(tmp_path: Path) -> None:
-    with pytest.raises(LocfuseError, match="no topic says how the car was steered"):
-        end_of_run([motor(tmp_path)], {**CAR, "wheels.topic": "/sensors/core"})
-
-
 @pytest.mark.parametrize(("used", "other"), [("/ackermann_cmd", "/drive"), ("/drive", "/teleop")])
 def test_of_commands_the_one_that_the_base_obeys_is_taken_and_said(used: str, other: str, tmp_path: Path) -> None:
     logs = commanded(tmp_path, used, SPEED), commanded(tmp_path, other, 2 * SPEED, 0.0)
@@ -492,11 +430,7 @@ def test_of_commands_the_one_that_the_base_obeys_is_taken_and_said(used: str, ot
 
 
 def test_commands_of_two_robots_are_not_guessed_at(tmp_path: Path) -> None:
-    logs = [
-        custom(
-            tmp_path / f"{n}.mcap", f"/robot{n}/cmd_vel", ACKERMANN, ACKERMANN_TEXT, T, [{"speed": SPEED}] * len(T)
-        )
-        for n in (1, 2)
-    ]
+    how: Any = (ACKERMANN, ACKERMANN_TEXT, T, [{"speed": SPEED}] * len(T))
+    logs = [custom(tmp_path / f"{n}.mcap", f"/robot{n}/cmd_vel", *how) for n in (1, 2)]
     with pytest.raises(LocfuseError, match="2 topics that fit: /robot1/cmd_vel, /robot2/cmd_vel"):
         end_of_run(logs, {"wheels.wheelbase": WHEELBASE})

@@ -10,6 +10,7 @@ import pytest
 from bags import Said, real_log
 from commands import locfuse, ok, refused, reported
 from msgspec.structs import replace
+from present import present
 from small_drive import drive, robot
 from wheel_bags import log_of, messages, numbers, odometry, poses_in
 
@@ -91,27 +92,18 @@ def test_what_is_not_known_of_the_encoders_is_asked_for(missing: str) -> None:
     assert f"wheels.{missing}" in error.value.hint
 
 
-def test_size_steering_and_the_tracked_point_are_found_from_nominal_values_far_off() -> None:
-    path = true_path()
-    truth = tracked(se2.compose(np.broadcast_to([2.0, -1.0, 0.7], path.shape), path), 0.9, 0.1)
-    nominal = settings(servo_gain=5.0 * GAIN, servo_offset=0.0, wheelbase=1.0)
-    found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, of_truth(truth), 0.0)
-    assert found.rms < 0.02
-    assert not found.breaks
-    assert found.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
-    assert_wheels(found, 0.01, 15.0)
-    assert [found.mount[key].value for key in "xy"] == pytest.approx([0.9, 0.1], abs=0.03)
-
-
 def test_a_truth_tells_a_tricycle_of_which_nothing_is_known() -> None:
-    truth = of_truth(tracked(true_path(), 0.9, 0.1))
+    path = true_path()
+    turned = se2.compose(np.broadcast_to([2.0, -1.0, 0.7], path.shape), path)
+    truth = of_truth(tracked(turned, 0.9, 0.1))
     start = nominal(encoders(), WheelSettings(), truth, 0.0)
     found = calibrate_tricycle(read_encoders(encoders(), start), start, truth, 0.0)
     assert found.rms < 0.02
-    assert start.ticks_per_revolution is not None
-    radius = found.wheels["radius"].value * TICKS / start.ticks_per_revolution
+    assert not found.breaks
+    radius = found.wheels["radius"].value * TICKS / present(start.ticks_per_revolution)
     assert radius == pytest.approx(RADIUS, rel=0.01)  # only the way per tick can be seen
     assert_wheels(found, 0.01)
+    assert [found.mount[key].value for key in "xy"] == pytest.approx([0.9, 0.1], abs=0.03)
 
 
 @pytest.mark.parametrize(("broken", "middle"), [("truth", 60.0), ("counter", 41.5)])
@@ -163,9 +155,8 @@ def test_wrong_steering_is_named_with_what_the_truth_shows(
 def test_a_zero_of_the_steering_that_moves_by_8_degrees_is_named_with_its_times() -> None:
     traction, steering = encoders().parts
     ticks = (np.asarray(steering.columns("data")["data"]) + np.where(T > 60.0, 180.0, 0.0)) % TURN
-    slipped = MergedStream(
-        (traction, ArrayStream("/steering_ticks", steering.msgtype, steering.t_ns, {"data": ticks}))
-    )
+    moved = ArrayStream("/steering_ticks", steering.msgtype, steering.t_ns, {"data": ticks})
+    slipped = MergedStream((traction, moved))
     (found,) = findings(settings(), true_path(), slipped)
     assert (found.code, found.fixes) == (ZERO_MOVES, ())
     off = [float(zero) for zero in re.findall(r"(-?[0-9.]+)° from", found.message)]
@@ -208,10 +199,8 @@ def test_a_reference_that_hardly_turns_calibrates_nothing() -> None:
 def tricycle_log(path: Path, gyro: bool, *more: list[Said]) -> Path:
     """Both counters, and perhaps an IMU of the same drive, as a bag."""
     counters = encoders()
-    said = [
-        *more,
-        *(numbers(p.topic, "Int64", T, map(int, np.asarray(p.columns("data")["data"]))) for p in counters.parts),
-    ]
+    counted = ((p.topic, map(int, np.asarray(p.columns("data")["data"]))) for p in counters.parts)
+    said = [*more, *(numbers(topic, "Int64", T, values) for topic, values in counted)]
     if gyro:
         rows = ({"angular_velocity": {"z": rate}} for rate in np.gradient(true_path()[:, 2], T).tolist())
         said.append(messages("/imu", "sensor_msgs/msg/Imu", T, rows, "imu"))
@@ -251,18 +240,6 @@ def test_init_says_why_a_truth_does_not_tell_a_tricycle(
     if hint:
         found = ("--no-advice", "--no-smooth", "--write", "json", "-o", tmp_path / "out")
         assert hint in locfuse("compare", log, *words, *found).stdout
-
-
-def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_path: Path) -> None:
-    log = real_log("tricycle/tricycle.mcap")
-    known = ("wheels.ticks_per_revolution=5000", "wheels.max_speed=5", "truth.topic=/tracker")
-    nominal = ("wheels.radius=0.0016893", "wheels.servo_gain=13038", "wheels.wheelbase=1.4")
-    words = [word for key in known for word in ("--set", key)]
-    first = [word for key in nominal for word in ("--set", key)]
-    ok("calibrate", log, *words, *first, "-o", tmp_path / "robot.toml")
-    odometry = ("--sensors", "odometry", "--align", "origin", "--no-advice")
-    done = reported("run", log, "--robot", tmp_path / "robot.toml", *words, *odometry)
-    assert done.rows["odometry"]["position_rmse_m"] < 0.15
 
 
 def test_what_init_writes_of_a_real_tricycle_leads_from_16_m_to_its_tracker(tmp_path: Path) -> None:

@@ -11,19 +11,8 @@ from ring_drive import WIDTH, ring_drive, robot
 from rows import readings
 
 import locfuse
-from locfuse.fusion import se2
-from locfuse.fusion.data import (
-    VERDICTS,
-    Array,
-    Audit,
-    Drive,
-    Estimates,
-    Evaluation,
-    Ints,
-    LocfuseError,
-    UsageError,
-    spaced,
-)
+from locfuse.fusion import data, se2
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, Ints, LocfuseError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import evaluate
@@ -31,7 +20,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.gps import GpsSettings
-from locfuse.fusion.whole_drive import closures, odometry, smooth
+from locfuse.fusion.whole_drive import closures, odometry, pose_graph, smooth
 from locfuse.fusion.whole_drive.closures import recognised
 from locfuse.fusion.whole_drive.odometry import (
     STEP_P,
@@ -46,21 +35,13 @@ from locfuse.fusion.whole_drive.odometry import (
     smoothed,
 )
 from locfuse.fusion.whole_drive.others import Others
-from locfuse.fusion.whole_drive.pose_graph import (
-    KEY_DISTANCE_M,
-    KEY_TURN_RAD,
-    Graph,
-    straight_mount,
-    wheels_share,
-    whole_drive,
-)
 from locfuse.fusion.whole_drive.reference import References, refuse, sets
 
 
 @cache
-def solved(alike: bool = False) -> tuple[Drive, Array, Graph]:
+def solved(alike: bool = False) -> tuple[Drive, Array, pose_graph.Graph]:
     drive, truth = ring_drive(3, alike=alike)
-    graph = present(whole_drive(drive, robot(), ["lrf"]))
+    graph = present(pose_graph.whole_drive(drive, robot(), ["lrf"]))
     return drive, truth, graph
 
 
@@ -76,14 +57,11 @@ def test_a_ring_driven_twice_is_closed_straight_and_as_certain_as_it_claims() ->
     assert len(graph.closures) >= 3
     assert "closed" in graph.notes()[0]
     assert (np.linalg.eigvalsh(P) > 0.0).all()
-    _, truth, graph = solved()
-    pose, P = graph.poses()
     e = pose - truth
     e[:, 2] = se2.wrap_all(e[:, 2])
     later = slice(50, None)  # the start is known
     nees = np.einsum("ni,nij,nj->n", e[later], np.linalg.inv(P[later]), e[later])
     assert nees.mean() / 3.0 < 2.0
-    drive, truth, graph = solved()
     then, now = np.searchsorted(drive.t, graph.seen_again()[0]).T
     assert len(now) == len(graph.closures)
     assert (drive.t[now] - drive.t[then] > 10.0).all(), "that is no return"
@@ -136,7 +114,7 @@ def test_without_a_search_what_the_filter_recognised_is_closed(monkeypatch: pyte
     monkeypatch.setattr(closures, "SIGMA_M", 0.02)
     drive, truth, _ = solved()
     recognised = having_recognised(drive, truth, *returns(drive, truth))
-    lone, known = (present(whole_drive(drive, robot(), ["lrf"], run)) for run in (None, recognised))
+    lone, known = (present(pose_graph.whole_drive(drive, robot(), ["lrf"], run)) for run in (None, recognised))
     assert len(lone.closures) == 0
     assert worst(lone.poses()[0], truth) > 0.25
     assert len(known.closures) >= 3
@@ -161,20 +139,17 @@ def test_where_matches_fix_no_poses_the_backward_pass_smooths_and_says_so(monkey
 def test_a_place_that_was_recognised_wrongly_bends_nothing(wrong: tuple[float, float, float]) -> None:
     drive, truth, graph = solved()
     misled = having_recognised(drive, truth, *returns(drive, truth), wrong=np.array(wrong))
-    found = present(whole_drive(drive, robot(), ["lrf"], misled))
+    found = present(pose_graph.whole_drive(drive, robot(), ["lrf"], misled))
     assert worst(found.poses()[0], truth) < 0.12
     assert len(found.closures) >= 0.5 * len(graph.closures)
 
 
 def test_a_laser_that_the_filter_found_elsewhere_is_taken_to_be_there() -> None:
     drive, truth = ring_drive(3, mount=np.array([0.0, 0.25, 0.0]))
-    known = having_recognised(drive, truth)
-    n = len(truth)
-    known = replace(known, blocks={"lrf_y": np.linspace(0.0, 0.25, n)[:, None]})
-    apart = []
-    for run in (None, known):
-        graph = present(whole_drive(drive, robot(), ["lrf"], run))
-        apart.append(worst(graph.poses()[0], truth))
+    blocks = {"lrf_y": np.linspace(0.0, 0.25, len(truth))[:, None]}
+    known = replace(having_recognised(drive, truth), blocks=blocks)
+    graphs = [present(pose_graph.whole_drive(drive, robot(), ["lrf"], run)) for run in (None, known)]
+    apart = [worst(graph.poses()[0], truth) for graph in graphs]
     assert apart[0] > 0.2
     assert apart[1] < 0.12
 
@@ -188,17 +163,14 @@ def test_a_yaw_under_which_the_robot_would_go_sideways_is_not_taken_over(
     base = se2.chain(u)
     true, found = (np.array([0.2, 0.05, np.radians(deg)]) for deg in (true_deg, found_deg))
     x = se2.compose(base, se2.compose(true, se2.inverse(found)))  # key poses as they follow from `found`
-    taken = straight_mount(found, np.array([0.2, 0.0, 0.0]), x, u)
+    taken = pose_graph.straight_mount(found, np.array([0.2, 0.0, 0.0]), x, u)
     assert taken == pytest.approx([0.2, 0.05, np.radians(taken_deg)])
 
 
-def test_without_a_laser_or_with_a_given_map_there_is_no_graph() -> None:
-    drive, _, _ = solved()
-    assert whole_drive(drive, robot(), []) is None
-
-
 def test_between_key_poses_the_way_leads_from_one_to_the_other() -> None:
+    """And turning both keys turns what lies between."""
     drive, truth, _ = solved()
+    assert pose_graph.whole_drive(drive, robot(), []) is None  # without a laser there is no graph
     odometry = odometry_of(drive)
     keys = np.arange(0, len(drive.t), 25)
     P = np.tile(np.diag([1e-4, 1e-4, 1e-5]), (len(keys), 1, 1))
@@ -210,19 +182,9 @@ def test_between_key_poses_the_way_leads_from_one_to_the_other() -> None:
     middle = (keys[:-1] + keys[1:]) // 2
     moving = np.hypot(*(truth[keys[1:]] - truth[keys[:-1]])[:, :2].T) > 0.3
     assert (out[middle, 0, 0] + out[middle, 1, 1] > 2e-4)[moving].all(), "between two keys less is known"
-
-
-def test_turning_both_keys_turns_what_lies_between() -> None:
-    drive, truth, _ = solved()
-    odometry = odometry_of(drive)
-    keys = np.arange(0, len(drive.t), 25)
-    P = np.tile(np.eye(3) * 1e-4, (len(keys), 1, 1))
-    k = np.arange(len(drive.t))
-    G = np.array([3.0, -1.0, 2.0])
-    errors = OdometryErrors.of_keys(odometry, keys, truth[keys])
-    plain, _ = bridged(odometry, odometry, k, keys, truth[keys], P, P[1:], errors)
-    turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, P[1:], errors)
-    np.testing.assert_allclose(turned, se2.compose(G, plain), atol=1e-9)
+    G, k = np.array([3.0, -1.0, 2.0]), np.arange(len(drive.t))
+    turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, 0.5 * P[1:], errors)
+    np.testing.assert_allclose(turned, se2.compose(G, pose), atol=1e-9)
 
 
 def test_scans_tell_how_much_of_their_noise_the_wheels_have() -> None:
@@ -233,7 +195,7 @@ def test_scans_tell_how_much_of_their_noise_the_wheels_have() -> None:
     way = Odometry(np.vstack((np.zeros(3), np.cumsum(turns, axis=0))), variances)
     seen = way.pose.copy()
     seen[1:, 2] += np.cumsum(rng.normal(0.0, real, n))
-    share = wheels_share(way, np.arange(n + 1), seen)
+    share = pose_graph.wheels_share(way, np.arange(n + 1), seen)
     assert share == pytest.approx((real / claimed) ** 2, rel=0.2)
 
 
@@ -252,7 +214,8 @@ def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() 
     drive, truth = ring_drive(3)
     odometry = odometry_of(drive)
     scans = drive.instant["lrf"]
-    readings = spaced((odometry.path_length()[scans], KEY_DISTANCE_M), (odometry.pose[scans, 2], KEY_TURN_RAD))
+    ways, turns = odometry.path_length()[scans], odometry.pose[scans, 2]
+    readings = data.spaced((ways, pose_graph.KEY_DISTANCE_M), (turns, pose_graph.KEY_TURN_RAD))
     keys = drive.instant["lrf"][readings]
     slip = np.zeros_like(odometry.pose)
     for k in keys[20:60:4] + 2:  # 6 degrees at once, just behind ten of the keys
@@ -336,10 +299,8 @@ def test_scans_read_in_parts_are_the_same_scans(monkeypatch: pytest.MonkeyPatch)
 
 def test_of_a_fast_laser_ten_scans_a_second_are_enough() -> None:
     n = 401
-    pose: Array = np.zeros((n, 3))
-    pose[:, 0] = 0.01 * np.arange(n)
     t = np.linspace(0.0, 10.0, n)  # 40 Hz
-    chosen = moving_scans(Odometry(pose, np.zeros((n, 3, 3))), t, np.arange(n), np.array([0, n - 1]))
+    chosen = moving_scans(straight(n - 1, 0.01), t, np.arange(n), np.array([0, n - 1]))
     assert np.diff(t[chosen]).min() >= 0.09
     assert len(chosen) > 95
 
@@ -375,17 +336,17 @@ def drive() -> tuple[Drive, Array]:
 
 
 @cache
-def solved_others(*sensors: str) -> Graph:
-    return present(whole_drive(drive()[0], described(), sensors))
+def solved_others(*sensors: str) -> pose_graph.Graph:
+    return present(pose_graph.whole_drive(drive()[0], described(), sensors))
 
 
-def error(graph: Graph) -> Array:
+def error(graph: pose_graph.Graph) -> Array:
     e = graph.poses()[0] - drive()[1]
     e[:, 2] = se2.wrap_all(e[:, 2])
     return e
 
 
-def rmse(graph: Graph) -> float:
+def rmse(graph: pose_graph.Graph) -> float:
     return float(np.sqrt((error(graph)[:, :2] ** 2).sum(axis=1).mean()))
 
 
@@ -440,12 +401,9 @@ def test_readings_that_are_left_out_of_a_fast_sensor_make_the_others_no_surer() 
     sensors = {**described().sensors, "compass": CompassSettings(offset_deg=0.0)}
 
     def known(at: Ints) -> float:
-        compass = readings(
-            log.t[at], truth[at, 2:], COMPASS_RAD, strength=np.ones(len(at)), rest=np.zeros(len(at))
-        )
-        seen = replace(
-            log, measurements={**log.measurements, "compass": compass}, instant={**log.instant, "compass": at}
-        )
+        extra = {"strength": np.ones(len(at)), "rest": np.zeros(len(at))}
+        compass = {**log.measurements, "compass": readings(log.t[at], truth[at, 2:], COMPASS_RAD, **extra)}
+        seen = replace(log, measurements=compass, instant={**log.instant, "compass": at})
         robot = replace(described(), sensors=sensors)
         rows = Others(seen, robot, ["compass"], odometry_of(log), keys).rows(truth[keys])
         return sum(float(block.H[:, 2, 2].sum()) for block in rows)
@@ -459,11 +417,8 @@ def test_what_the_filter_refused_is_left_out_and_with_most_of_a_sensor_all_of_it
     log, _ = drive()
     keys = log.instant["lrf"][::8]
     at = log.instant["gps"][:20]
-    log = replace(
-        log,
-        instant={**log.instant, "gps": at},
-        measurements={**log.measurements, "gps": log.measurements["gps"].take(np.arange(20))},
-    )
+    gps = {**log.measurements, "gps": log.measurements["gps"].take(np.arange(20))}
+    log = replace(log, instant={**log.instant, "gps": at}, measurements=gps)
     nothing = np.zeros(20)
     verdict = np.where(np.arange(20) < refused, VERDICTS.index("gate"), VERDICTS.index("accepted")).astype(np.int8)
     empty = np.zeros((20, 2))
@@ -500,21 +455,17 @@ def only(*sensors: str) -> Drive:
 
 
 def test_all_sensors_are_solved_and_all_but_each_that_leave_one_which_locates() -> None:
-    assert sets(session().drive) == [
-        ("compass", "lrf", "camera"),
-        ("lrf", "camera"),
-        ("compass", "camera"),
-        ("compass", "lrf"),
-    ]
+    pairs = [("lrf", "camera"), ("compass", "camera"), ("compass", "lrf")]
+    assert sets(session().drive) == [("compass", "lrf", "camera"), *pairs]
     assert sets(only("compass", "lrf")) == [("compass", "lrf"), ("lrf",)]
     assert sets(only("compass")) == []
 
 
 def test_where_no_sensor_locates_or_a_truth_is_known_there_is_no_reference() -> None:
-    with pytest.raises(UsageError, match="no sensor of this log shows where"):
+    with pytest.raises(data.UsageError, match="no sensor of this log shows where"):
         refuse(only("compass"), session().robot)
     log = locfuse.load("rounded_triangle")
-    with pytest.raises(UsageError, match="has a truth, /ground_truth/pose"):
+    with pytest.raises(data.UsageError, match="has a truth, /ground_truth/pose"):
         refuse(log.drive, log.robot)
 
 
@@ -525,7 +476,7 @@ def test_a_sensor_that_measured_nothing_makes_no_reference() -> None:
     none = replace(lrf, t=lrf.t[:0], first=lrf.first[:1], z=lrf.z[:0], R_unit=lrf.R_unit[:0])
     dead = replace(both, measurements={**both.measurements, "lrf": none})
     assert sets(dead) == []
-    with pytest.raises(UsageError, match="no sensor of this log shows where"):
+    with pytest.raises(data.UsageError, match="no sensor of this log shows where"):
         refuse(dead, session().robot)
 
 

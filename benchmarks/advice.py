@@ -21,8 +21,6 @@ fault counts if it increases an error to more than 1.2 times the error with the 
 The cases "none" have no fault; the compass offset is given or estimated. Every finding in these cases is needless.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tempfile
@@ -181,7 +179,6 @@ def gap(right: Mapping[str, float], before: Mapping[str, float], after: Mapping[
 
 
 def costly(rows: Iterable[Row]) -> list[Row]:
-    """Return the rows whose fault increases an error."""
     return [row for row in rows if row["errors_m"] is not None]
 
 

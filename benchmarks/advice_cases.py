@@ -3,8 +3,6 @@
 A drive is one lap of the paper's robot. Settings and robot are right, except for the faults of the case.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 SCENARIO = (

@@ -9,8 +9,6 @@ fused, in nats per number (more is better; a reference is not used, since it dep
 divided by that of `locfuse compare --no-advice`; it should be at most 2 + the number of printed fixes.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -84,7 +82,6 @@ def shown(row: Row) -> list[str]:
 
 
 def grew(before: list[float | None], after: list[float | None]) -> bool:
-    """Return whether an error of a configuration grew, or a prediction got worse."""
     if len(before) == 1:
         return None not in (*before, *after) and -(after[0] or 0.0) > -(before[0] or 0.0) + MAX_LOSS
     pairs = zip(before, after, (MAX_LOSS_M, MAX_LOSS_DEG), strict=False)
@@ -94,7 +91,6 @@ def grew(before: list[float | None], after: list[float | None]) -> bool:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the effect of all fixes on the figures of each whole log."""
     forms, lines = (length, "{:.2f}°".format, "{:.3g}".format), []
     for row in rows:
         fixes, again = (" ".join(f"`{fix}`" for fix in row[key]) or "nothing" for key in ("fixes", "again"))

@@ -17,8 +17,6 @@ the unchanged log. ANEES is computed for simulated drives only, whose start is k
 the headline doubts it: the filtered path is too far from the smoothed one.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from functools import cache, partial
@@ -93,7 +91,6 @@ def measured(name: str, number: int, sets: tuple[str, ...]) -> tuple[Drive, Robo
 
 
 def noisier(rng: np.random.Generator, scans: dict[str, Any], *rest: Any) -> Any:
-    """Extract lines from scans with noise added to their ranges."""
     more = EXTRA_RANGE * rng.normal(size=scans["ranges"].shape)
     return lines_in_base({**scans, "ranges": scans["ranges"] + more}, *rest)
 

@@ -206,7 +206,6 @@ def work(name: str, seed: int) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield figures and goals of each case, then the lower bounds."""
     drives = {name: np.array([row["figures"] for row in mine]) for name, mine in experiment.by_case(rows).items()}
     found = {name: Figures(*m.mean(axis=0).tolist())._replace(walls=m[:, 4].min()) for name, m in drives.items()}
     of_bound = {n: [row[BOUND] for row in mine if row[BOUND]] for n, mine in experiment.by_case(rows).items()}

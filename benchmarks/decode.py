@@ -4,14 +4,11 @@
 reads the columns that locfuse reads.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 
 def stock(path: Path) -> str:
-    """Decode every message with mcap-ros2-support, and every picture with OpenCV."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -25,7 +22,6 @@ def stock(path: Path) -> str:
 
 
 def picture(data: bytes) -> bool:
-    """Decode one JPEG."""
     import cv2
     import numpy as np
 
@@ -33,7 +29,6 @@ def picture(data: bytes) -> bool:
 
 
 def rosbags(path: Path) -> str:
-    """Decode every message with rosbags."""
     from rosbags.highlevel import AnyReader
 
     count = 0
@@ -45,7 +40,6 @@ def rosbags(path: Path) -> str:
 
 
 def ours(path: Path) -> str:
-    """Read the columns that locfuse reads, from every topic that it can use."""
     from locfuse.formats.logs.log import open_log
     from locfuse.fusion.sensors.registry import REGISTRY
     from locfuse.fusion.truth import TRUTH_READS

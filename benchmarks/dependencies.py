@@ -6,8 +6,6 @@ A size is that of the installed files on this platform. An import time is the CP
 imports the package, minus that of an empty one: the smallest of five runs. `locfuse --help` imports only click.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from importlib import metadata
@@ -50,7 +48,6 @@ def needed(package: str) -> set[str]:
 
 
 def with_their_own(packages: set[str]) -> set[str]:
-    """Return packages with all packages that they require, directly or not."""
     found = set[str]()
     while packages:
         found |= packages
@@ -59,7 +56,6 @@ def with_their_own(packages: set[str]) -> set[str]:
 
 
 def megabytes(packages: set[str]) -> float:
-    """Return the size of packages on disk."""
     size = 0
     for package in packages & {plain(d.name) for d in metadata.distributions()}:
         paths = [Path(str(file.locate())) for file in metadata.files(package) or []]
@@ -73,7 +69,6 @@ def seconds(code: str) -> float:
 
 
 def main() -> None:
-    """Print the table, the largest package first."""
     packages, rows, empty = needed("locfuse"), [], seconds("pass")
     assert packages == {plain(name) for name in USES}
     for name in USES:

@@ -82,7 +82,6 @@ class Case:
 
 
 def contents(data: bytes) -> list[Spoken]:
-    """Return the messages of an .mcap in file order, by the public reader."""
     return [Spoken(*one) for one in make_reader(io.BytesIO(data)).iter_messages(log_time_order=False)]  # type: ignore[arg-type]
 
 
@@ -121,7 +120,6 @@ class Short(NamedTuple):
 
 @cache
 def short_drive() -> Short:
-    """Return the drive that cases change."""
     path, scenario = experiment.scratch() / "short.mcap", load("rounded_rectangle", SHORT)
     outcome = write_log(scenario, 1, on_truth, path)
     data = path.read_bytes()
@@ -156,7 +154,6 @@ WHEELS = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # of a 
 
 
 def damaged_case(seed: int) -> Case:
-    """Return a log with one or two random changes."""
     rng = Random(seed)
     cases, weights = zip(*bases().values(), strict=True)
     base: Case = rng.choices(cases, weights)[0]
@@ -266,7 +263,6 @@ def odd_values(rng: Random, case: Case) -> Case:
 
 
 def make_odd(rng: Random, message: Any) -> None:
-    """Change up to two fields of a message, and of the messages in it."""
     for key in rng.sample(names := [key for key in vars(message) if key[0] != "_"], min(2, len(names))):
         value, odd = getattr(message, key), rng.choice([x for x in FLOATS if not 1e38 < abs(x) < math.inf])
         if hasattr(value, "__dataclass_fields__"):
@@ -312,7 +308,6 @@ def odd_times(rng: Random, case: Case) -> Case:
 
 
 def foreign_topics(rng: Random, case: Case) -> Case:
-    """Add a topic of a type that the product reads, full of odd values."""
     name, topic = rng.choice(FOREIGN), rng.choice(TOPICS)
     schema = Schema(0, STORE.generate_msgdef(name, ros_version=2)[0].encode(), "ros2msg", name)
     data = bytes(STORE.serialize_cdr(filled(rng, STORE, name), name))
@@ -329,7 +324,6 @@ def foreign_topics(rng: Random, case: Case) -> Case:
 
 
 def filled(rng: Random, store: Any, name: str) -> Any:
-    """Return a message with usual values."""
 
     def value(kind: Any) -> Any:
         what, detail = kind[0].name, kind[1]
@@ -378,7 +372,6 @@ def files_beside(rng: Random, case: Case) -> Case:
 
 
 def sprinkled(rng: Random, text: str) -> bytes:
-    """Return a text with some numbers replaced by odd ones, sometimes also damaged."""
     share = rng.choice((0.0, 0.0, 0.01, 0.5))
     odd = re.sub(r"[-+.\d]+", lambda m: rng.choice(VALUES) if rng.random() < share else m[0], text)
     data = odd.encode("utf-8", "replace")
@@ -386,7 +379,6 @@ def sprinkled(rng: Random, text: str) -> bytes:
 
 
 def with_map(rng: Random, case: Case, text: str, suffix: str, files: Mapping[str, bytes] = {}) -> Case:
-    """Return the case with a map, by a command that takes one."""
     command = case.command if case.command[0] in {"run", "compare"} else ("run",)
     words = ("--map", f"{{here}}/map{suffix}", *rng.choice(((), ("--set", "start.sigma_xy=5"))))
     return replace(case, command=command).more(words, {**files, f"map{suffix}": sprinkled(rng, text)})
@@ -416,7 +408,6 @@ IMAGES = (*["m.png"] * 12, "/dev/zero", "map.yaml", ".", "../x", "nothing.png")
 
 
 def line_maps(rng: Random, case: Case) -> Case:
-    """Add a line map of few or very many walls, some of which are odd."""
     count = rng.choice((1, 0, 0, 64, 1000, 10_000))
     ends = (
         short_drive().walls.tolist()

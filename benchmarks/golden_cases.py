@@ -1,7 +1,5 @@
 """Cases of benchmarks.golden: simulated logs, sample logs, real logs, each with its options."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -112,7 +110,6 @@ class Others:
 
 
 def grid(plan: floor_plan.FloorPlan) -> RawMessage:
-    """Return a floor plan as the map that a robot publishes."""
     occupied = {floor_plan.OCCUPIED: 100, floor_plan.UNKNOWN: -1, floor_plan.FREE: 0}
     cells = [occupied[grey] for grey in plan.image[::-1].ravel().tolist()]
     rows, columns = plan.image.shape

@@ -8,8 +8,6 @@ key gets a right value, and no other sensor is named. Without a wrong setting, n
 simulated camera is more exact than any real mirror, so 0.5 degrees of white noise are added to its bearings.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -61,7 +59,6 @@ CASES = {
 
 
 def noisy(drive: Drive, sensor: str, noise: Array) -> Drive:
-    """Add noise to a sensor's measurements."""
     m = drive.measurements[sensor]
     return replace(drive, measurements={**drive.measurements, sensor: replace(m, z=wrap_all(m.z + noise))})
 
@@ -88,7 +85,6 @@ def is_right(case: Case, found: dict[str, Consistency]) -> bool:
 
 
 def work(name: str, seed: int) -> Row:
-    """Return whether the verdicts of one case were right, and the verdicts."""
     case, rng = CASES[name], np.random.default_rng(seed)
     drive, robot = experiment.simulated("rounded_rectangle", SCENARIO, seed).measured(case.sets)
     drive = noisy(drive, "camera", CAMERA_NOISE * rng.normal(size=drive.measurements["camera"].z.shape))

@@ -8,8 +8,6 @@ Jupyter is not needed: a notebook is JSON (nbformat 4). Figures are not compared
 fonts of the machine.
 """
 
-from __future__ import annotations
-
 import ast
 import base64
 import contextlib
@@ -83,7 +81,6 @@ def _lines(text: str) -> list[str]:
 
 
 def without_figures(notebook: dict[str, Any]) -> list[Any]:
-    """Return the cells with the bytes of their figures left out."""
     cells: list[Any] = json.loads(
         json.dumps(notebook["cells"]),
         object_hook=lambda part: {key: "..." if key == "image/png" else part[key] for key in part},

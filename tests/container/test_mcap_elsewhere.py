@@ -14,9 +14,8 @@ from range_server import Shelf, serving
 
 from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_survey import ChunkRef, promised, read_summary, sort_by_time, summary_section
+from locfuse.formats.container.mcap_survey import ChunkRef, promised, read_summary, summary_section
 from locfuse.formats.container.remote_objects import RemoteBytes
-from locfuse.formats.container.source import Part
 from locfuse.formats.container.url import Url
 
 NONE, ZSTD = CompressionType.NONE, CompressionType.ZSTD
@@ -179,22 +178,6 @@ def test_a_summary_is_believed_where_all_it_says_fits_together(
     assert (promised(FileBytes(path, Losses())) is not None) == believed
 
 
-def test_the_indexes_of_a_chunk_take_the_bytes_behind_it_to_the_last(tmp_path: Path) -> None:
-    path = stored(tmp_path / "x.mcap", drive(60), compression=NONE, attachments={"note": b"hello"})
-    survey = present(promised(FileBytes(path, Losses())))
-    content = path.read_bytes()
-    for part in survey.parts:
-        assert isinstance(part, ChunkRef)
-        assert part.counts is not None
-        for ident, (at, length) in part.index.items():
-            assert content[at - 9] == 7
-            assert struct.unpack_from("<QHI", content, at - 8) == (length, ident, length - 6)
-            assert part.counts[ident] == (length - 6) // 16
-    assert [content[at - 9 : at] for at, _ in survey.attachments] == [struct.pack("<BQ", 9, 55)]
-    assert survey.attachments[0][1] == 55
-    assert survey.expected == {1: 60, 2: 30, 3: 15}
-
-
 def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_the_summary_and_a_larger_one_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,29 +231,3 @@ def test_a_damaged_index_loses_no_message(tmp_path: Path, shelf: Shelf) -> None:
     assert payloads(source, "/heading") == said_of(said, "/heading")
     assert data.far
     assert not losses
-
-
-def span(first: int, last: int) -> Part:
-    return Part(0, 0, 0, span=(first, last))
-
-
-@pytest.mark.parametrize(
-    ("spans", "expected"),
-    [
-        ([(0, 9), (10, 19), (20, 29)], [0, 1, 2]),
-        ([(20, 29), (0, 9), (10, 19)], [1, 2, 0]),
-        ([(10, 19), (0, 10)], [0, 1]),  # they touch: none ends before the other begins
-        ([(10, 19), (0, 9)], [1, 0]),
-        ([(0, 9), (30, 39), (20, 29)], [0, 2, 1]),
-        ([(0, 30), (5, 9), (6, 8)], [0, 1, 2]),  # they overlap
-        ([(0, 0), (5, 30), (6, 9)], [0, 1, 2]),
-        ([(40, 49), (20, 29), (30, 45)], [1, 2, 0]),
-        ([(40, 49), (0, 30), (10, 20)], [2, 1, 0]),  # by their ends
-    ],
-)
-def test_parts_are_sorted_only_where_one_ends_before_an_earlier_one_begins(
-    spans: list[tuple[int, int]], expected: list[int]
-) -> None:
-    parts = [span(*one) for one in spans]
-    sort_by_time(parts)
-    assert [spans.index(part.span) for part in parts] == expected

@@ -11,8 +11,7 @@ from invented import decode as decode_by, plain
 from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_DEFINITION
 from locfuse.formats.messages import protobuf_messages, schema as message_schema
-from locfuse.formats.messages.cdr import MalformedError
-from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors, varint
+from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors
 from locfuse.formats.messages.schema import Decoded, SchemaError
 
 KINDS = descriptor_pb2.FieldDescriptorProto
@@ -235,18 +234,6 @@ def test_whole_numbers_are_right_at_both_ends_of_their_range(kind: str) -> None:
     for name in (f"{kind}s", f"{kind}s_apart"):
         message = All(**{name: values}).SerializeToString()
         assert plain(decode([message], (name,)).columns[name]) == [[float(v) for v in values]]
-
-
-def test_a_varint_of_ten_bytes_is_read_and_its_upper_bits_are_lost() -> None:
-    """https://protobuf.dev/programming-guides/encoding: of 70 bits 64 count."""
-    assert varint(b"\xff" * 9 + b"\x7f", 0, 10) == (2**64 - 1, 10)
-    assert varint(b"\x00\x96\x01", 1, 3) == (150, 3)
-    assert varint(b"\x80" * 9 + b"\x01\x05", 0, 11) == (2**63, 10)
-    for data, end in ((b"\x80" * 9, 9), (b"\x80\x01", 1), (b"", 0)):
-        with pytest.raises(MalformedError, match="shorter than its type"):
-            varint(data, 0, end)
-    with pytest.raises(MalformedError, match="longer than 10 bytes"):
-        varint(b"\x80" * 11, 0, 11)
 
 
 def test_a_definition_nests_and_counts_fields_up_to_its_caps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,11 +118,7 @@ def test_a_sigma_is_too_large_only_where_residuals_show_it(changed: dict[str, fl
     [
         ("understated", 3.0, "its messages claim errors about 3 times smaller than they are"),
         ("overstated", 0.25, "its messages claim errors about 4 times larger than they are"),
-        (
-            "correlated",
-            2.0,
-            "errors last longer than a reading, while its messages claim each to be independent",
-        ),
+        ("correlated", 2.0, "errors last longer than a reading, while its messages claim each to be independent"),
         ("understated", float("inf"), "its messages claim errors that are far smaller than they are"),
         ("consistent", 1.0, "as it was"),
         ("understated", None, "as it was"),

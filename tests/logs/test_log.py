@@ -347,12 +347,6 @@ def test_bytes_that_are_read_twice_count_once(raw: Path) -> None:
     assert data.all_read
 
 
-def test_the_window_gives_the_bytes_of_the_file_wherever_it_is_asked(raw: Path) -> None:
-    data, whole = FileBytes(raw, Losses()), raw.read_bytes()
-    for at, n in ((0, 9), (5000, 9), (5009, 4000), (9100, 100), (9200, 60_000), (3, 5), (len(whole) - 4, 9)):
-        assert data.read(at, n) == whole[at : at + n]
-
-
 def test_a_copy_has_the_identity_of_the_log_and_another_log_has_another(raw: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.mcap"
     shutil.copy(raw, copy)

@@ -23,10 +23,9 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
-from locfuse.formats import inputs, whole_files
-from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes, Losses
+from locfuse.formats import whole_files
+from locfuse.formats.container.file_bytes import WRITTEN_TO
 from locfuse.formats.container.mcap_write import log_writer
-from locfuse.formats.logs.files import log_name
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import temporary_for, whole_file, write_results
 from locfuse.fusion.data import LocfuseError
@@ -36,12 +35,6 @@ FILES: dict[str, str | bytes] = {"run.json": "{}\n", "trajectory.tum": "1 2 3\n"
 
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
-
-
-def test_a_new_folder_with_its_parents_is_made(tmp_path: Path) -> None:
-    write_results(tmp_path / "a" / "b", FILES)
-    assert names(tmp_path / "a" / "b") == sorted(FILES)
-    assert (tmp_path / "a" / "b" / "trajectory.tum").read_text() == "1 2 3\n"
 
 
 def test_a_locfuse_result_is_replaced_file_by_file(tmp_path: Path) -> None:
@@ -365,13 +358,6 @@ def test_a_log_named_after_a_folder_above_keeps_its_results_below(
     assert not (tmp_path / "run.json").exists()
 
 
-def test_every_name_of_a_log_is_one_folder() -> None:
-    for name in ("...mcap", "..mcap", "....mcap.zstd", ".mcap", "a.mcap"):
-        stem = log_name([Path("x") / name])
-        assert stem.strip(".")
-        assert Path(stem).name == stem
-
-
 HOLDER = """
     import sys, time
     from pathlib import Path
@@ -444,18 +430,6 @@ def test_a_link_under_a_temporary_name_is_not_written_through(tmp_path: Path) ->
     assert sorted(path.name for path in out.iterdir()) == ["map.json", "run.json", "x.mcap"]
 
 
-def test_a_file_may_be_written_when_its_reader_is_gone(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-    path.write_text("a")
-    reader = FileBytes(path, Losses())
-    with pytest.raises(LocfuseError, match="it is the input"), whole_file(path):
-        pass
-    del reader
-    with whole_file(path) as temporary:
-        temporary.write_text("b")
-    assert path.read_text() == "b"
-
-
 def test_a_log_that_is_replaced_while_it_is_read_is_noticed(tmp_path: Path) -> None:
     log = sample_write(tmp_path / "d.mcap", seconds=20.0)
     opened = open_log([log])
@@ -483,9 +457,3 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
     assert "not a regular file" in refused("info", log, "--robot", tmp_path / "pipe.mcap")
     os.mkfifo(tmp_path / "metadata.yaml")
     ok("info", tmp_path)  # read without either pipe
-
-
-def test_a_small_file_that_is_large_is_refused_by_its_cap(tmp_path: Path) -> None:
-    (tmp_path / "robot.toml").write_bytes(b"#" * 2_000_000)
-    with pytest.raises(LocfuseError, match=r"2 000 000 bytes, more than the cap of 1 000"):
-        inputs.read_small(tmp_path / "robot.toml", 1000)

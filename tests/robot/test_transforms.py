@@ -187,12 +187,6 @@ def robot(*parts: str, left: str = AT.format(0.2), right: str = AT.format(-0.1))
     return f"<robot>{LEFT.format(left)}{RIGHT.format(right)}{''.join(parts)}</robot>"
 
 
-def test_the_track_is_the_distance_of_the_two_joints_and_the_names_are_theirs() -> None:
-    found = present(wheel_geometry(robot()))
-    assert (found.left, found.right, found.radius) == ("left_wheel", "right_wheel", None)
-    assert found.track == pytest.approx(0.3)
-
-
 @pytest.mark.parametrize("rpy", [(0.3, -0.2, 1.1), (math.pi / 2, 0.0, 0.0), (0.0, math.pi / 2, 0.5)])
 def test_joints_above_a_wheel_turn_and_move_it(rpy: tuple[float, float, float]) -> None:
     xyz = (0.1, 0.7, -0.2)

@@ -479,14 +479,8 @@ def test_where_nothing_judges_two_motions_the_better_kind_is_taken_and_said_to_b
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        (
-            [odometry(AT, OTHER), speeds("/speed", TURN)],
-            "/odom is used: it explains 0% of the motion by /speed",
-        ),
-        (
-            [odometry(AT[:200], WAY[:200]), imu()],
-            "The motion by /odom covers 19.9 s of the 39.9 s of this log. ",
-        ),
+        ([odometry(AT, OTHER), speeds("/speed", TURN)], "/odom is used: it explains 0% of the motion by /speed"),
+        ([odometry(AT[:200], WAY[:200]), imu()], "The motion by /odom covers 19.9 s of the 39.9 s of this log. "),
         ([odometry(AT, 0.0 * WAY), speeds("/cmd_vel", TURN)], "The robot does not move in this log"),
     ],
     ids=["two disagree", "it ends half-way", "all that was measured stands"],

@@ -1,11 +1,9 @@
 """Every kind of bag is the same log: sqlite3, compressed files and messages, ROS 1, JSON."""
 
 import base64
-import gc
 import json
 import random
 import sqlite3
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -134,33 +132,6 @@ def test_a_sqlite3_file_that_is_no_bag_is_one_line(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(LocfuseError, match="not a readable rosbag2 database: no such table"):
         open_log([file])
-
-
-@pytest.mark.parametrize("cut", [0.3, 0.7, 0.95])
-def test_a_cut_off_compressed_file_gives_its_beginning(tmp_path: Path, cut: float) -> None:
-    said = drive(4000)
-    plain = write(tmp_path / "x.mcap", said, chunk_size=3000)
-    packed = zstandard.ZstdCompressor(level=1).compress(plain.read_bytes())
-    file = tmp_path / "x.mcap.zstd"
-    file.write_bytes(packed[: int(len(packed) * cut)])
-    log = open_log([file])
-    assert log.name == "x"
-    assert "the compression is damaged or cut off" in log.losses.lines()[0]
-    assert cut - 0.15 < len(log.stream("/joint_states").t_ns) / 4000 < 1
-
-
-def test_temporary_files_go_with_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "tmp").mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
-    plain = write(tmp_path / "x.mcap", drive(40))
-    packed = tmp_path / "x.mcap.zstd"
-    packed.write_bytes(zstandard.ZstdCompressor().compress(plain.read_bytes()))
-    log = open_log([packed])
-    assert len(log.stream("/scan").t_ns) == 10
-    assert len(list((tmp_path / "tmp").iterdir())) == 1
-    del log
-    gc.collect()
-    assert list((tmp_path / "tmp").iterdir()) == []
 
 
 def test_a_bomb_of_a_compressed_file_stops_at_its_cap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,23 +37,6 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_locfuse_result_is_replaced_file_by_file(tmp_path: Path) -> None:
-    write_results(tmp_path, FILES)
-    (tmp_path / "notes.txt").write_text("mine")
-    write_results(tmp_path, {"run.json": "[]"})
-    assert (tmp_path / "run.json").read_text() == "[]"
-    assert (tmp_path / "notes.txt").read_text() == "mine"
-
-
-def test_another_folder_is_refused_unless_told_to_overwrite(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(LocfuseError, match=r"not empty and holds no locfuse result.*--overwrite"):
-        write_results(tmp_path, FILES)
-    assert names(tmp_path) == ["thesis.tex"]
-    write_results(tmp_path, FILES, overwrite=True)
-    assert names(tmp_path) == sorted([*FILES, "thesis.tex"])
-
-
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(LocfuseError, match="is a file, not a folder"):
@@ -98,49 +81,11 @@ def test_a_failure_leaves_neither_half_files_nor_temporary_ones(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_file_that_writes_itself_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    def fails(path: Path) -> None:
-        path.write_bytes(b"half")
-        raise OSError(28, "No space left on device")
-
-    write_results(tmp_path, {"run.json": "{}", "estimates.mcap": "before"})
-    with pytest.raises(LocfuseError, match="No space left"):
-        write_results(tmp_path, {"estimates.mcap": fails, "run.json": "new"})
-    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"run.json": "{}", "estimates.mcap": "before"}
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_read_only_folder_is_one_line(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     with pytest.raises(LocfuseError, match="Permission denied"):
         write_results(tmp_path / "out", FILES)
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc: processes are not shown as files")
-def test_what_a_process_left_is_cleared_away_before_its_parent_has_asked_for_its_end(tmp_path: Path) -> None:
-    with subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE) as child:
-        assert child.stdout is not None
-        child.stdout.read()
-        left = tmp_path / f".report.csv.{child.pid}{whole_files.TEMPORARY}"
-        left.write_text("x")
-        for _ in range(200):
-            if not whole_files.alive(child.pid):
-                break
-            time.sleep(0.01)
-        assert child.returncode is None
-        write_results(tmp_path, {"report.json": "{}"})
-        assert not left.exists()
-
-
-def test_a_whole_file_keeps_the_old_one_when_the_block_fails(tmp_path: Path) -> None:
-    target = tmp_path / "log.mcap"
-    target.write_text("old")
-    with pytest.raises(UnicodeEncodeError), whole_file(target) as path:
-        path.write_text("half\ud800", encoding="utf-8")
-    assert (names(tmp_path), target.read_text()) == (["log.mcap"], "old")
-    with whole_file(target) as path:
-        path.write_text("new")
-    assert (names(tmp_path), target.read_text()) == (["log.mcap"], "new")
 
 
 WRITER = """

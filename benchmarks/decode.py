@@ -9,6 +9,8 @@ from pathlib import Path
 
 
 def stock(path: Path) -> str:
+    import cv2
+    import numpy as np
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -17,15 +19,8 @@ def stock(path: Path) -> str:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for schema, _, _, message in reader.iter_decoded_messages():
             if schema is not None and schema.name == "sensor_msgs/msg/CompressedImage":
-                pictures += picture(message.data)
+                pictures += cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR) is not None
     return f"{pictures} pictures"
-
-
-def picture(data: bytes) -> bool:
-    import cv2
-    import numpy as np
-
-    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
 
 
 def rosbags(path: Path) -> str:

@@ -364,17 +364,3 @@ def test_blank_lines_in_a_metadata_file_cost_nothing(tmp_path: Path) -> None:
     begin = time.process_time()
     assert log_files(tmp_path) == [log]
     assert time.process_time() - begin < 2.0  # of CPU
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - b.mcap\n    - 'a.mcap'\n  duration: 1\n",
-        'relative_file_paths:\r\n- b.mcap\r\n- "a.mcap"\r\n',
-    ],
-)
-def test_a_metadata_file_names_its_files_in_order(tmp_path: Path, text: str) -> None:
-    for name in ("a.mcap", "b.mcap", "c.mcap"):
-        sample_write(tmp_path / name)
-    (tmp_path / "metadata.yaml").write_text(text)
-    assert [file.name for file in log_files(tmp_path)] == ["b.mcap", "a.mcap"]

@@ -31,7 +31,7 @@ from mcap.writer import CompressionType, Writer
 from locfuse import sample_logs
 from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.logs.files import files_of, identity_of
+from locfuse.formats.logs.files import files_of, identity_of, log_files
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError, Ragged, UsageError
 
@@ -84,15 +84,25 @@ def test_split_files_merge_by_topic_and_order_and_the_same_file_twice_is_one(
     assert log.stream("/scan").dropped == {"repeat": 50}
 
 
-def test_a_rosbag2_folder_is_the_files_its_metadata_lists(tmp_path: Path, reference: dict[str, Any]) -> None:
-    write(tmp_path / "a_0.mcap", drive())
-    write(tmp_path / "unrelated.mcap", drive(3))
+@pytest.mark.parametrize(
+    "text",
+    [
+        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - b_0.mcap\n    - 'a_0.mcap'\n  duration: 1\n",
+        'relative_file_paths:\r\n- b_0.mcap\r\n- "a_0.mcap"\r\n',
+    ],
+)
+def test_a_rosbag2_folder_is_the_files_its_metadata_lists(
+    tmp_path: Path, reference: dict[str, Any], text: str
+) -> None:
+    said = drive()
+    for name, some in (("a_0", said[:150]), ("b_0", said[150:]), ("unrelated", drive(3))):
+        write(tmp_path / f"{name}.mcap", some)
     metadata = tmp_path / "metadata.yaml"
-    metadata.write_text("rosbag2_bagfile_information:\n  relative_file_paths:\n    - a_0.mcap\n  duration:\n")
+    metadata.write_text(text)
     log = open_log([tmp_path])
-    assert contents(log) == reference
-    assert contents(open_log([metadata])) == reference
-    assert (log.name, [p.name for p in log.paths]) == (tmp_path.name, ["a_0.mcap"])
+    assert contents(log) == contents(open_log([metadata])) == reference
+    assert (log.name, len(log.paths)) == (tmp_path.name, 2)
+    assert [file.name for file in log_files(tmp_path)] == ["b_0.mcap", "a_0.mcap"]
 
 
 @pytest.mark.parametrize("rows_per_block", [1, 7, 256])

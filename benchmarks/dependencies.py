@@ -64,7 +64,6 @@ def megabytes(packages: set[str]) -> float:
 
 
 def seconds(code: str) -> float:
-    """Return the CPU time [s] of a new interpreter for some code: the smallest of a few runs."""
     return min(cost((sys.executable, "-c", code)).cpu for _ in range(RUNS))
 
 
@@ -75,11 +74,8 @@ def main() -> None:
         own: set[str] = {plain(name)}
         took = max(seconds(f"import {MODULES.get(name, name)}") - empty, 0.0)
         rows.append((megabytes(own), megabytes(with_their_own(own)), name, took))
-    lines = [
-        (name, f"{own:.1f}", f"{all_:.1f}", f"{took:.2f}", USES[name]) for own, all_, name, took in sorted(rows)
-    ]
-    everything = with_their_own(packages)
-    last = ("**all of them**", "", f"**{megabytes(everything):.0f}**", "", "")
+    lines = [(name, f"{own:.1f}", f"{all_:.1f}", f"{s:.2f}", USES[name]) for own, all_, name, s in sorted(rows)]
+    last = ("**all of them**", "", f"**{megabytes(with_their_own(packages)):.0f}**", "", "")
     head = ("package", "MB", "MB with what it needs", "import [s]", "used for")
     print("\n".join(table(head, [*reversed(lines), last], "123")))
 

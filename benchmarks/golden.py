@@ -191,12 +191,8 @@ def differences(before: Found, now: Found, slack: float) -> list[str]:
         a, b = before.values.get(key, "nothing"), now.values.get(key, "nothing")
         report += [] if _equal(a, b, slack) else [f"{key}: {a} before, {b} now"]
     more = f"and {len(columns[LISTED:])} more columns, {len(report[LISTED:])} more values of the report"
-    return [
-        *words,
-        *columns[:LISTED],
-        *report[:LISTED],
-        *([more] if max(len(columns), len(report)) > LISTED else []),
-    ]
+    listed = [*words, *columns[:LISTED], *report[:LISTED]]
+    return [*listed, more] if max(len(columns), len(report)) > LISTED else listed
 
 
 def _equal(a: Any, b: Any, slack: float) -> bool:

@@ -91,19 +91,16 @@ def work(name: str, seed: int) -> Row:
     if name == SLOW_CASE:
         drive = noisy(drive, "compass", slow_noise(drive.measurements["compass"].t, rng)[:, None])
     configurations = ((), *((s,) for s in SENSORS), SENSORS)
-    found = judge([RunInnovations.of(drive, fuse(drive, robot, sensors)) for sensors in configurations], robot)[
-        "all"
-    ]
+    runs = [RunInnovations.of(drive, fuse(drive, robot, sensors)) for sensors in configurations]
+    found = judge(runs, robot)["all"]
     words = [c.words for c in found.values() if c.verdict not in {"consistent", "unclear"}]
     return {"right": is_right(case, found), "words": "; ".join(words) or "nothing"}
 
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the share of right verdicts, then the wrong ones."""
-    lines = [
-        (name, f"{sum(row['right'] for row in mine)} of {len(mine)}", mine[0]["words"])
-        for name, mine in experiment.by_case(rows).items()
-    ]
+    cases = experiment.by_case(rows).items()
+    lines = [(name, f"{sum(row['right'] for row in m)} of {len(m)}", m[0]["words"]) for name, m in cases]
     yield from experiment.table(("case", "right", "said first"), lines, "1")
     yield from (f"seed {row['task'][1]}, {row['task'][0]}: {row['words']}" for row in rows if not row["right"])
 

@@ -59,7 +59,7 @@ fusion/judge/against: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
 formats/results/mcap_export formats/container/mcap_write: container/mcap_write
 formats/messages/cdr: messages/layout messages/cdr
-formats/logs/files: messages/message_schema
+formats/logs/files: messages/message_schema container/sources logs/log
 formats/messages/json_messages: messages/json_messages messages/protobuf_messages
 formats/messages/protobuf_messages: messages/protobuf_messages
 formats/messages/schema: messages/message_schema messages/layout messages/cdr

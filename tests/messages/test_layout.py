@@ -26,6 +26,7 @@ TYPES = {
     "fixed numbers": "uint8 a\nfloat32[3] b\nuint8 c",
     "structures": f"Inner[] b\nuint8 c\n{RULE}uint8 x\nfloat64 y\n",
     "a fixed number of structures": f"uint8 a\nInner[2] b\nuint8 c\n{RULE}uint16 x\nuint8 y\n",
+    "structures of 12 bytes that begin at 8": f"uint8 a\nInner[5] b\nuint8 c\n{RULE}float64 x\nfloat32 y\n",
     "structures of texts": f"Inner[] b\n{RULE}string x\n",
     "arrays in structures": f"Inner[] b\nuint8 c\n{RULE}float32[] x\n",
     "nothing": "",

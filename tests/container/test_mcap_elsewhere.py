@@ -14,8 +14,9 @@ from range_server import Shelf, serving
 
 from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_survey import ChunkRef, promised, read_summary, summary_section
+from locfuse.formats.container.mcap_survey import ChunkRef, promised, read_summary, sort_by_time, summary_section
 from locfuse.formats.container.remote_objects import RemoteBytes
+from locfuse.formats.container.source import Part
 from locfuse.formats.container.url import Url
 
 NONE, ZSTD = CompressionType.NONE, CompressionType.ZSTD
@@ -231,3 +232,20 @@ def test_a_damaged_index_loses_no_message(tmp_path: Path, shelf: Shelf) -> None:
     assert payloads(source, "/heading") == said_of(said, "/heading")
     assert data.far
     assert not losses
+
+
+@pytest.mark.parametrize(
+    ("spans", "expected"),
+    [
+        ([(20, 29), (0, 9), (10, 19)], [1, 2, 0]),
+        ([(10, 19), (0, 10)], [0, 1]),  # they touch: none ends before the other begins
+        ([(0, 30), (5, 9), (6, 8)], [0, 1, 2]),  # they overlap
+        ([(10, 19), (5, 12), (6, 8)], [2, 1, 0]),
+        ([(40, 49), (0, 30), (10, 20)], [2, 1, 0]),  # by their ends
+    ],
+)
+def test_parts_are_sorted_only_where_one_ends_before_an_earlier_one_begins(
+    spans: list[tuple[int, int]], expected: list[int]
+) -> None:
+    sort_by_time(parts := [Part(0, 0, 0, span=one) for one in spans])
+    assert [spans.index(part.span) for part in parts] == expected

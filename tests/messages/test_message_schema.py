@@ -170,6 +170,10 @@ def test_a_definition_as_long_as_a_cap_is_parsed_and_a_longer_one_refused(
     monkeypatch.setattr(schema, name, int(count) - 1)
     with pytest.raises(SchemaError, match=f"too long: {what}, more than the cap of {int(count) - 1}"):
         refuse_large("A", language, text)
+    monkeypatch.setattr(schema, "MAX_DEFINITION", 99)
+    monkeypatch.setattr(schema, "MAX_DEFINITION_LINES", 1)  # without comments and empty lines
+    monkeypatch.setattr(schema, "MAX_EXPRESSIONS", 0)  # of IDL alone
+    refuse_large("A", "ros2msg", "# a comment\n\n   \n  # another [\nfloat64[] x")
 
 
 def chain(depth: int) -> str:

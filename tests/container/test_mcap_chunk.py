@@ -149,6 +149,21 @@ def test_an_entry_points_at_a_message_of_its_channel_and_time_or_does_not_count(
     assert not found_in(data[:30], index_of(ROWS, places)).messages
 
 
+@pytest.mark.parametrize("change", ["none", "opcode", "short"])
+def test_an_entry_that_points_at_what_is_no_whole_message_does_not_count(change: str) -> None:
+    data = bytearray(BROKEN + message(ROWS[1]))
+    data[len(BROKEN) + (change == "short")] -= change != "none"
+    found = found_in(bytes(data), index_of([ROWS[1]], [len(BROKEN)]))
+    assert rows_of(bytes(data), found.messages) == ([ROWS[1]] if change == "none" else [])
+
+
+def test_a_message_may_lie_at_the_start_and_at_the_end_of_a_chunk() -> None:
+    data = message(ROWS[1])
+    found = found_in(data, index_of([ROWS[1]], [0]))
+    assert rows_of(data, found.messages) == [ROWS[1]]
+    assert found.end == len(data) == 31
+
+
 def test_whatever_the_index_says_of_a_sound_chunk_the_walk_counts() -> None:
     """It is whole, in another order, without one message or with one of them twice."""
     data, places = laid()

@@ -179,6 +179,22 @@ def test_a_summary_is_believed_where_all_it_says_fits_together(
     assert (promised(FileBytes(path, Losses())) is not None) == believed
 
 
+def test_the_indexes_of_a_chunk_take_the_bytes_behind_it_to_the_last(tmp_path: Path) -> None:
+    path = stored(tmp_path / "x.mcap", drive(60), compression=NONE, attachments={"note": b"hello"})
+    survey = present(promised(FileBytes(path, Losses())))
+    content = path.read_bytes()
+    for part in survey.parts:
+        assert isinstance(part, ChunkRef)
+        assert part.counts is not None
+        for ident, (at, length) in part.index.items():
+            assert content[at - 9] == 7
+            assert struct.unpack_from("<QHI", content, at - 8) == (length, ident, length - 6)
+            assert part.counts[ident] == (length - 6) // 16
+    assert [content[at - 9 : at] for at, _ in survey.attachments] == [struct.pack("<BQ", 9, 55)]
+    assert survey.attachments[0][1] == 55
+    assert survey.expected == {1: 60, 2: 30, 3: 15}
+
+
 def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_the_summary_and_a_larger_one_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_survey import ChunkRef, Survey, survey
+from locfuse.formats.container.mcap_survey import ChunkRef, Survey, read_summary, survey
 from locfuse.fusion.data import LocfuseError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -435,3 +435,31 @@ def test_attachments_have_a_cap(tmp_path: Path, length: int, found: bool, monkey
         assert [(r, at, one.bytes) for (_, r, at), one in losses.places.items()] == (
             [("attachment 'a' fails its checksum", len(FRONT) + 9, length)] if found and crc == 1 else []
         )
+
+
+def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) -> None:
+    one = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 500, 77) + b"x")
+    data, _ = laid(tmp_path, FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
+    source = McapSource(data)
+    (batch,) = source.batches({1})
+    assert batch.messages[1].published.tolist() == [77, 501]
+    assert source.time_span_ns == (500, 501)
+
+
+def test_messages_outside_chunks_are_taken_in_runs_with_their_times(tmp_path: Path) -> None:
+    loose = message(1, 50, b"a") + message(2, 40, b"bc") + message(1, 60, b"")
+    found, lost = walked(tmp_path, FRONT + loose + A.all + message(2, 210, b"z") + END + NO_SUMMARY)
+    assert not lost
+    assert [
+        (part.offset, part.size, part.counts, part.span) for part in found.parts if not isinstance(part, ChunkRef)
+    ] == [(len(FRONT), len(loose), {1: 2, 2: 1}, (40, 60)), (len(FRONT + loose + A.all), 32, {2: 1}, (210, 210))]
+    assert sorted(times(tmp_path, FRONT + loose + A.all + END + NO_SUMMARY)[0]) == [40, 50, 60, *of(A)]
+
+
+def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "f.mcap"
+    for start, whole in ((len(WHOLE), True), (len(WHOLE) + 1, False), (8, False), (7, False)):
+        footer = struct.pack("<BQQQ", FOOTER, 20, start, 0)
+        content = WHOLE + footer + struct.pack("<I", zlib.crc32(footer)) + MAGIC
+        path.write_bytes(content)
+        assert (read_summary(FileBytes(path, Losses())) is not None) == whole

@@ -268,6 +268,11 @@ def test_a_definition_that_cannot_be_used_says_why_in_one_line(text: str, says: 
     assert len(str(raised.value)) < 120
 
 
+@pytest.mark.parametrize("spelling", ["sensor_msgs/msg/Imu", "sensor_msgs/Imu", "sensor_msgs::msg::Imu"])
+def test_type_names_are_spelt_one_way(spelling: str) -> None:
+    assert message_type(spelling) == "sensor_msgs/msg/Imu"
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("little", [True, False])
 def test_a_signalling_nan_becomes_a_quiet_one(little: bool) -> None:

@@ -24,6 +24,7 @@ from locfuse.formats.messages.schema import (
     FieldError,
     Many,
     Node,
+    Scalar,
     SchemaError,
     Structure,
     Text,
@@ -489,3 +490,11 @@ def test_a_key_that_holds_a_dot_is_no_field_as_no_path_leads_to_it() -> None:
     assert paths(message) == ["a"]
     for path in paths(message):
         resolve(message, path)
+
+
+def test_times_that_a_definition_only_mentions_are_those_of_ros() -> None:
+    node = parse("a/msg/B", "ros2msg", "builtin_interfaces/Time t\nbuiltin_interfaces/Duration d\n").fields["t"]
+    assert isinstance(node, Structure)
+    assert [(n, p.dtype, p.size) for n, p in node.fields.items() if isinstance(p, Scalar)] == [
+        ("sec", "i4", 4), ("nanosec", "u4", 4),
+    ]  # fmt: skip

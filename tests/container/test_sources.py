@@ -134,6 +134,19 @@ def test_a_sqlite3_file_that_is_no_bag_is_one_line(tmp_path: Path) -> None:
         open_log([file])
 
 
+@pytest.mark.parametrize("cut", [0.3, 0.7, 0.95])
+def test_a_cut_off_compressed_file_gives_its_beginning(tmp_path: Path, cut: float) -> None:
+    said = drive(4000)
+    plain = write(tmp_path / "x.mcap", said, chunk_size=3000)
+    packed = zstandard.ZstdCompressor(level=1).compress(plain.read_bytes())
+    file = tmp_path / "x.mcap.zstd"
+    file.write_bytes(packed[: int(len(packed) * cut)])
+    log = open_log([file])
+    assert log.name == "x"
+    assert "the compression is damaged or cut off" in log.losses.lines()[0]
+    assert cut - 0.15 < len(log.stream("/joint_states").t_ns) / 4000 < 1
+
+
 def test_a_bomb_of_a_compressed_file_stops_at_its_cap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("locfuse.formats.container.decompress.MIN_CAP_BYTES", 1 << 20)
     file = tmp_path / "x.mcap.zstd"

@@ -28,6 +28,7 @@ from locfuse.cli.fleet import process
 from locfuse.cli.fleet.jobs import Job, JobOutcome
 from locfuse.cli.fleet.queue import QueueState, duration, run_all
 from locfuse.formats.logs.log import open_log
+from locfuse.formats.whole_files import RUN_LOCK, sole_writer
 from locfuse.fusion.data import UsageError
 
 ONE = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,csv", "-q")
@@ -222,6 +223,13 @@ def test_ctrl_c_keeps_what_is_done(logs: list[Path], tmp_path: Path) -> None:
     states = {r["log"]: r["state"] for r in rows(out)}
     assert states[logs[3].stem] == "not run"
     assert (out / logs[0].stem / "report.json").is_file()
+
+
+def test_two_runs_do_not_share_a_folder(logs: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    with sole_writer(out, RUN_LOCK):
+        assert f"is being written by process {os.getpid()}" in refused("fleet", *logs[:2], "-o", out, *ONE)
 
 
 def job(name: str) -> Job:

@@ -220,3 +220,11 @@ def test_structures_in_arrays_in_arrays_are_end_to_end() -> None:
     assert found["a.deep.s"] == [("", "b", "c"), (), ()]
     assert plain(found["a.row"]) == [[7.0, 8.0], [], []]
     assert plain(found["a.row.length"]) == [[2, 0, 0, 0], [], []]
+
+
+def test_what_is_no_object_is_counted() -> None:
+    decoder = JsonDecoder(record(a=NUMBER))
+    data = np.frombuffer(b'{"a": 1}[]{}', np.uint8)
+    found = decoder.decode(data, np.array([0, 8, 10]), np.array([8, 2, 2]), ("a",))
+    assert found.good.tolist() == [True, False, True]
+    assert found.bad == {"not a JSON object": 1}

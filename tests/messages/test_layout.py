@@ -76,6 +76,14 @@ def test_a_message_fills_its_bytes_but_for_padding(name: str, kind: str, wanted:
     assert reasons(whole[:shortest] + bytes(spare + 1)) == ["longer than its type"]
 
 
+@pytest.mark.parametrize("n", range(6))
+def test_padding_behind_a_message_may_differ_from_message_to_message(n: int) -> None:
+    decoder, whole = example("a text", "cdr")
+    decoded = decode(decoder, [whole, whole + bytes(n), whole], ["b", "c"])
+    assert decoded.columns["b"] == ["laser"] * int(decoded.good.sum())
+    assert decoded.good.tolist() == [True, n <= 3, True]
+
+
 def test_an_empty_message_takes_a_byte_in_ros_2_and_none_in_ros_1() -> None:
     """OMG DDS does without empty structures, so that ROS 2 puts a byte there."""
     for kind, message in (("cdr", b"\0\1\0\0\0"), ("ros1", b"")):

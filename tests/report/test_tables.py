@@ -161,6 +161,11 @@ def test_a_narrow_terminal_loses_columns_and_never_digits(report: dict[str, Any]
     assert wide == text_table.lines(table, 120)
 
 
+def test_a_name_repeated_from_the_row_above_can_be_left_out() -> None:
+    table = of_words(texts("a", "b"), [("x", "1"), ("x", "2"), ("y", "3")])
+    assert [row["a"] for row in records(table.once())] == ["x", "", "y"]
+
+
 def test_brackets_on_a_terminal_are_text_and_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
     show.table(of_words(texts("setting", "found"), [("wheels.noise [m]", "0.0004")]))
     assert "wheels.noise [m]   0.0004" in capsys.readouterr().out

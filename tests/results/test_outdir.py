@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
-from locfuse.formats import whole_files
+from locfuse.formats import inputs, whole_files
 from locfuse.formats.container.file_bytes import WRITTEN_TO
 from locfuse.formats.container.mcap_write import log_writer
 from locfuse.formats.logs.log import open_log
@@ -315,6 +315,22 @@ def test_what_a_killed_process_left_of_a_file_goes_with_the_next(tmp_path: Path)
     assert (left.exists(), living.exists()) == (False, True)
 
 
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc: processes are not shown as files")
+def test_what_a_process_left_is_cleared_away_before_its_parent_has_asked_for_its_end(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.read()
+        left = tmp_path / f".report.csv.{child.pid}{whole_files.TEMPORARY}"
+        left.write_text("x")
+        for _ in range(200):
+            if not whole_files.alive(child.pid):
+                break
+            time.sleep(0.01)
+        assert child.returncode is None
+        write_results(tmp_path, {"report.json": "{}"})
+        assert not left.exists()
+
+
 def test_scratch_of_killed_processes_of_this_machine_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(socket, "gethostname", lambda: "node-7.lab")
@@ -372,3 +388,9 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
     assert "not a regular file" in refused("info", log, "--robot", tmp_path / "pipe.mcap")
     os.mkfifo(tmp_path / "metadata.yaml")
     ok("info", tmp_path)  # read without either pipe
+
+
+def test_a_small_file_that_is_large_is_refused_by_its_cap(tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_bytes(b"#" * 2_000_000)
+    with pytest.raises(LocfuseError, match=r"2 000 000 bytes, more than the cap of 1 000"):
+        inputs.read_small(tmp_path / "robot.toml", 1000)

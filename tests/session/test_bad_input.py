@@ -117,6 +117,15 @@ def test_anything_else_is_one_line_that_helps(
     assert "\n" not in str(caught.value)
 
 
+def test_results_by_name_are_a_mapping_like_any_other(result: locfuse.Comparison) -> None:
+    assert "compass" in result.estimates
+    assert "foo" not in result.estimates
+    assert result.estimates.get("foo") is None
+    assert list(result.estimates) == ["odometry", "compass"]
+    with pytest.raises(KeyError):
+        result.estimates["foo"]
+
+
 # --- jitter: ranges of figures by chance
 
 

@@ -53,6 +53,13 @@ def test_the_notes_and_the_table_of_sensors_are_printed_where_they_are_asked_for
     assert "-v" not in locfuse(*words, "--quiet").stdout
 
 
+def test_every_kind_of_file_is_written_on_request(tmp_path: Path) -> None:
+    ok("compare", "labyrinth", "--no-advice", "--write", "all", "-o", tmp_path / "out")
+    assert {f"report.{kind}" for kind in ("html", "json", "md", "csv", "tex")} <= {
+        p.name for p in (tmp_path / "out").iterdir()
+    }
+
+
 def test_help_shows_the_options_that_come_first_and_help_all_every_one() -> None:
     first, every = (set(OPTION.findall(locfuse("compare", word).stdout)) for word in ("--help", "--help-all"))
     assert len(first) <= MAX_OPTIONS

@@ -253,6 +253,28 @@ def test_a_time_is_two_whole_numbers(fields: str, is_time: bool) -> None:
     assert not other.is_time
 
 
+PX4 = {
+    "VehicleOdometry": "float32[3] position\nfloat32[4] q\nuint8 velocity_frame\nfloat32[3] velocity\n"
+    "float32[3] angular_velocity\n",
+    "VehicleLocalPosition": "float32 x\nfloat32 y\nfloat32 heading\nfloat32 vx\nfloat32 vy\n",
+    "SensorCombined": "float32[3] gyro_rad\nfloat32[3] accelerometer_m_s2\n",
+}
+
+
+@pytest.mark.parametrize("name", PX4)
+def test_the_messages_of_px4_are_as_they_are_defined_and_no_number_longer(name: str) -> None:
+    kind = f"px4_msgs/msg/{name}"
+    message = parse(kind, "ros2msg", PX4[name])
+    for path in paths(message):
+        assert expected(kind, path)
+        check_kind(kind, path, resolve(message, path))
+    longer = parse(kind, "ros2msg", PX4[name].replace("[3]", "[2]").replace("[4]", "[5]").replace("32 ", "32[1] "))
+    for path in paths(longer):
+        if "frame" not in path:
+            with pytest.raises(FieldError, match="by its definition; accepted:"):
+                check_kind(kind, path, resolve(longer, path))
+
+
 # --- which decoder a channel gets, and why one gets none
 
 

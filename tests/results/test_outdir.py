@@ -23,7 +23,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
 from locfuse.formats import inputs, whole_files
-from locfuse.formats.container.file_bytes import WRITTEN_TO
+from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes, Losses
 from locfuse.formats.container.mcap_write import log_writer
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import temporary_for, whole_file, write_results
@@ -359,6 +359,18 @@ def test_a_link_under_a_temporary_name_is_not_written_through(tmp_path: Path) ->
     assert victim.read_text() == "mine"
     assert not any(path.is_symlink() for path in out.iterdir())
     assert sorted(path.name for path in out.iterdir()) == ["map.json", "run.json", "x.mcap"]
+
+
+def test_a_file_may_be_written_when_its_reader_is_gone(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_text("a")
+    reader = FileBytes(path, Losses())
+    with pytest.raises(LocfuseError, match="it is the input"), whole_file(path):
+        pass
+    del reader
+    with whole_file(path) as temporary:
+        temporary.write_text("b")
+    assert path.read_text() == "b"
 
 
 def test_a_log_that_is_replaced_while_it_is_read_is_noticed(tmp_path: Path) -> None:

@@ -6,8 +6,6 @@ the rounds, the goal, and the wall times. The ratios are more reliable than the 
 root. If LOCFUSE_DATA is set, a recorded building is measured too.
 """
 
-from __future__ import annotations
-
 import compileall
 import os
 import statistics
@@ -63,12 +61,10 @@ FROZEN = ("--set", "lrf.map=first-scan")
 
 
 def module(name: str, *words: str | Path) -> Command:
-    """Return the command that runs a module of benchmarks/."""
     return (sys.executable, "-m", f"benchmarks.{name}", *map(str, words))
 
 
 def locfuse(*words: str | Path) -> Command:
-    """Return a command line of the product."""
     return (sys.executable, "-m", "locfuse", *map(str, words))
 
 

@@ -8,8 +8,6 @@ are sampled once per 0.1 s, and compass and camera have no systematic errors. `-
 settings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -44,14 +42,12 @@ def work(seed: int, robot_sets: tuple[str, ...] = (), no_camera: bool = False, s
         robot = run.robot((f"lrf.map={mode}", *robot_sets))
         for used in ((), *((s,) for s in sensors), sensors):
             both = smooth and used and mode in SMOOTHED
-            for run_of in fuse_and_smooth(measured, robot, used) if both else (fuse(measured, robot, used),):
-                judged = evaluate(run_of, measured)
-                found[f"{mode} {judged.name}"] = figures(judged)
+            runs = fuse_and_smooth(measured, robot, used) if both else [fuse(measured, robot, used)]
+            found |= {f"{mode} {e.name}": figures(e) for e in (evaluate(one, measured) for one in runs)}
     return {"found": found}
 
 
 def figures(judged: Evaluation) -> Row:
-    """Return the figures of one run that the table needs."""
     return {key: judged.figures[key] for key in ("position_rmse_m", "heading_rmse_deg", "anees")}
 
 
@@ -71,7 +67,6 @@ def over_drives(results: Sequence[Row]) -> dict[str, dict[str, float]]:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the table of all drives."""
     head = ("map, configuration", "rmse of all", "mean of drives", "worst", "heading", "ANEES")
     forms = ("{:.2f} mm", "{:.2f}", "{:.2f}", "{:.4f}°", "{:.2f}")
     found = over_drives([row["found"] for row in rows]).items()

@@ -21,8 +21,6 @@ fault counts if it increases an error to more than 1.2 times the error with the 
 The cases "none" have no fault; the compass offset is given or estimated. Every finding in these cases is needless.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tempfile
@@ -137,12 +135,10 @@ def named(case: Case, row: Row) -> Row:
     plaster = [fix for fix in row["fixes"] if PLASTER.match(fix)]
     plaster += [f"leave {what} out" for what in LEAVE_OUT.findall(row["headline"])]
     own = {key for fault in case.faults for key in fault.keys}
-    useless = [
-        fix for fix in plaster if fix.partition(".sigma_deg=")[2] and float(fix.partition("=")[2]) >= USELESS_DEG
-    ]
-    missed = [
-        f for f in case.faults if not (keys & set(f.keys) if f.keys else not f.roles or roles & set(f.roles))
-    ]
+    sigmas = {fix: fix.partition(".sigma_deg=")[2] for fix in plaster}
+    useless = [fix for fix, sigma in sigmas.items() if sigma and float(sigma) >= USELESS_DEG]
+    hit = [keys & set(f.keys) if f.keys else not f.roles or roles & set(f.roles) for f in case.faults]
+    missed = [f for f, found in zip(case.faults, hit, strict=True) if not found]
     right, after = ({n: e for n, (e, _) in row[key].items()} for key in ("right", "after"))
     costs = len(missed) == len(case.faults) or gap(right, after, after)["errors_m"] is not None
     return {
@@ -173,15 +169,11 @@ def gap(right: Mapping[str, float], before: Mapping[str, float], after: Mapping[
     gaps = {n: before[n] - right[n] for n in both if before[n] > right[n] * (1 + MIN_COST) + MIN_COST_M}
     if not gaps:
         return {"closed": None, "errors_m": None}
-    widest = max(gaps, key=lambda n: math.log(before[n] / right[n]))
-    return {
-        "closed": (before[widest] - after[widest]) / gaps[widest],
-        "errors_m": [right[widest], before[widest], after[widest]],
-    }
+    n = max(gaps, key=lambda n: math.log(before[n] / right[n]))
+    return {"closed": (before[n] - after[n]) / gaps[n], "errors_m": [right[n], before[n], after[n]]}
 
 
 def costly(rows: Iterable[Row]) -> list[Row]:
-    """Return the rows whose fault increases an error."""
     return [row for row in rows if row["errors_m"] is not None]
 
 

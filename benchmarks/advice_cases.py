@@ -3,8 +3,6 @@
 A drive is one lap of the paper's robot. Settings and robot are right, except for the faults of the case.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 SCENARIO = (
@@ -54,6 +52,7 @@ def _robot(roles: str, *scenario: str, right: str = "") -> Fault:
 
 
 FIELD_T = 20e-6  # T, horizontal part of the earth's field
+OFF_AXLE = 'sensor="truth", x=0.06, y=0.03'
 HARD_IRON = f"compass.hard_iron=[{0.14 * FIELD_T}, 0]"
 OPTICS = ("camera.centre=[241.5, 238.2]", "camera.inner=62", "camera.outer=232")
 FAULTS: dict[str, Fault] = {
@@ -92,9 +91,7 @@ FAULTS: dict[str, Fault] = {
     "truth 100 ms late": _wrong("truth.time_offset=0.1"),
     "truth 50 ms late": _happens("truth", "clock_offset", 'sensor="truth", seconds=0.05', "truth.time_offset"),
     "truth steps 6 cm": _happens("truth", "truth_step", f"start={MIDDLE_S}, x=0.06"),
-    "truth 6, 3 cm off the axle": _happens(
-        "truth", "displaced", 'sensor="truth", x=0.06, y=0.03', "truth.x", "truth.y"
-    ),
+    "truth 6, 3 cm off the axle": _happens("truth", "displaced", OFF_AXLE, "truth.x", "truth.y"),
     "truth with 8 mm of noise": replace(
         _robot("truth", "truth.noise=0.008", "truth.noise_deg=0.5"),
         keys=("truth.sigma", "truth.sigma_theta_deg"),

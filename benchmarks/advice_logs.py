@@ -9,8 +9,6 @@ fused, in nats per number (more is better; a reference is not used, since it dep
 divided by that of `locfuse compare --no-advice`; it should be at most 2 + the number of printed fixes.
 """
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,13 +39,8 @@ def work(name: str) -> Row:
     report, cpu = compared(name, sets)
     fixes = report["fixes"]
     after = compared(name, [*sets, *fixes])[0] if fixes else report
-    return {
-        "fixes": fixes,
-        "again": after["fixes"] if fixes else [],
-        "before": figures(report),
-        "after": figures(after),
-        "cpu": cpu / without,
-    }
+    again, both = after["fixes"] if fixes else [], {"before": figures(report), "after": figures(after)}
+    return {"fixes": fixes, "again": again, **both, "cpu": cpu / without}
 
 
 def compared(name: str, sets: Sequence[str], *words: str) -> tuple[dict[str, Any], float]:
@@ -84,26 +77,22 @@ def shown(row: Row) -> list[str]:
 
 
 def grew(before: list[float | None], after: list[float | None]) -> bool:
-    """Return whether an error of a configuration grew, or a prediction got worse."""
     if len(before) == 1:
         return None not in (*before, *after) and -(after[0] or 0.0) > -(before[0] or 0.0) + MAX_LOSS
     pairs = zip(before, after, (MAX_LOSS_M, MAX_LOSS_DEG), strict=False)
-    return any(
-        was is not None and now is not None and now > was * (1 + MAX_LOSS) + more for was, now, more in pairs
-    )
+    known = [(was, now, more) for was, now, more in pairs if was is not None and now is not None]
+    return any(now > was * (1 + MAX_LOSS) + more for was, now, more in known)
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the effect of all fixes on the figures of each whole log."""
     forms, lines = (length, "{:.2f}°".format, "{:.3g}".format), []
     for row in rows:
         fixes, again = (" ".join(f"`{fix}`" for fix in row[key]) or "nothing" for key in ("fixes", "again"))
         for name in shown(row):
             before, after = row["before"][name], row["after"][name]
             how = forms if len(before) > 1 else ("{:.2f} nats".format,)
-            cells = [
-                "" if None in (a, b) else f"{f(a)} -> {f(b)}" for f, a, b in zip(how, before, after, strict=True)
-            ]
+            both = zip(how, before, after, strict=True)
+            cells = ["" if None in (a, b) else f"{form(a)} -> {form(b)}" for form, a, b in both]
             bad = "**yes**" if row["fixes"] and grew(before, after) else "no"
             lines.append((row["task"][0], fixes, name, *[*cells, "", ""][:3], bad, again, f"{row['cpu']:.1f} x"))
             fixes = again = ""

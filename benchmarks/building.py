@@ -17,8 +17,6 @@ the unchanged log. ANEES is computed for simulated drives only, whose start is k
 the headline doubts it: the filtered path is too far from the smoothed one.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from functools import cache, partial
@@ -55,7 +53,8 @@ EPOCH_S = 1e9  # s: the stamps of a relation plus this are those of the logs in 
 def work(name: str, number: int, smooth: bool, sets: tuple[str, ...]) -> Row:
     """Fuse a drive of a building, smoothed too if `smooth`, and return the figures of each run."""
     if name in SCENARIOS:
-        run = experiment.simulated(scenario_of(name), ("compass.enabled=false",), FIRST_SEED + number)
+        scenario = campus_file() if name == "campus" else name
+        run = experiment.simulated(scenario, ("compass.enabled=false",), FIRST_SEED + number)
         drive, robot = run.measured(sets)
     else:
         drive, robot = measured(name, number, sets)
@@ -69,10 +68,7 @@ def work(name: str, number: int, smooth: bool, sets: tuple[str, ...]) -> Row:
 
 
 @cache
-def scenario_of(name: str) -> str:
-    """Return the scenario of a building: its name, or a file."""
-    if name != "campus":
-        return name
+def campus_file() -> str:
     path = experiment.scratch() / "campus.toml"
     path.write_text(campus.scenario(), encoding="utf-8")
     return str(path)
@@ -93,7 +89,6 @@ def measured(name: str, number: int, sets: tuple[str, ...]) -> tuple[Drive, Robo
 
 
 def noisier(rng: np.random.Generator, scans: dict[str, Any], *rest: Any) -> Any:
-    """Extract lines from scans with noise added to their ranges."""
     more = EXTRA_RANGE * rng.normal(size=scans["ranges"].shape)
     return lines_in_base({**scans, "ranges": scans["ranges"] + more}, *rest)
 
@@ -133,9 +128,8 @@ def at_laser(run: Estimates, drive: Drive) -> Array:
     """Return poses (n, 3) of the base, from the run's poses of the laser and the configured mount."""
     scans = drive.measurements["lrf"].points
     assert scans is not None
-    return se2.compose(
-        run.pose, se2.compose(found_mount("lrf", scans.mount, run.blocks), se2.inverse(scans.mount))
-    )
+    moved = se2.compose(found_mount("lrf", scans.mount, run.blocks), se2.inverse(scans.mount))
+    return se2.compose(run.pose, moved)
 
 
 @cache

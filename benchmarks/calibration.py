@@ -5,8 +5,6 @@
 Each seed is one log of straight runs and one of turns on the spot, from the lowest to the highest speed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,13 +20,14 @@ LIGHT = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")
 def work(seed: int, sets: tuple[str, ...]) -> Row:
     """Simulate both experiments of one seed, with wheels and truth only, and calibrate with both logs."""
     runs = [experiment.simulated(name, (*LIGHT, *sets), seed) for name in ("straight_runs", "turns_on_the_spot")]
-    found = calibrate_wheels([run.measured()[0] for run in runs])
+    found, true = calibrate_wheels([run.measured()[0] for run in runs]), load("straight_runs", sets).wheels.noise
+    geometry, k = [found.parameters.tolist(), found.sigmas.tolist()], [found.k.value, found.k.low, found.k.high]
     return {
-        "true": load("straight_runs", sets).wheels.noise,
-        "k": [found.k.value, found.k.low, found.k.high],
+        "true": true,
+        "k": k,
         "delta": found.delta.value,
         "prefers_k": found.prefers_k > 0,
-        "geometry": [found.parameters.tolist(), found.sigmas.tolist()],
+        "geometry": geometry,
     }
 
 

@@ -4,8 +4,6 @@ There are three corridors in each direction, 2.4 m wide, with rooms on both side
 The first loop is half a kilometre long, and the drive 1.4 km: more than in any shipped building.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -22,7 +20,6 @@ TOUR = "00 20 22 02 00 10 12 02 01 21 20 00 01 11 10 20 21 11"
 
 
 def scenario() -> str:
-    """Return a floor and a drive through it as the TOML of a scenario."""
     points = [[NORTHWARD[int(at[0])] + 0.5 * WIDTH, EASTWARD[int(at[1])] + 0.5 * WIDTH] for at in TOUR.split()]
     laser = {"rate": 5.0, "phase": 0.031, "beams": 181, "field_of_view_deg": 180.0, "duration": 0.0133}
     tables: Table = {
@@ -42,7 +39,6 @@ def scenario() -> str:
 
 
 def corridors() -> Iterator[Table]:
-    """Yield the corridors as spaces."""
     for y in EASTWARD:
         yield {"name": f"eastward {y:g}", "area": [NORTHWARD[0], y, NORTHWARD[-1] + WIDTH, y + WIDTH]}
     for x in NORTHWARD:
@@ -89,7 +85,6 @@ def room(area: list[float], side: str, wall: tuple[float, float], rng: random.Ra
 
 
 def piece(area: list[float], rng: random.Random) -> Table:
-    """Return a piece of furniture at a random place in a room."""
     kind = rng.choice(("box", "table", "chair"))
     place = [rng.uniform(area[0] + 0.8, area[2] - 0.8), rng.uniform(area[1] + 0.8, area[3] - 0.8)]
     size = {} if kind == "chair" else {"size": [rng.uniform(0.5, 1.8), rng.uniform(0.4, 1.0)]}

@@ -4,14 +4,13 @@
 reads the columns that locfuse reads.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 
 def stock(path: Path) -> str:
-    """Decode every message with mcap-ros2-support, and every picture with OpenCV."""
+    import cv2
+    import numpy as np
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -20,20 +19,11 @@ def stock(path: Path) -> str:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for schema, _, _, message in reader.iter_decoded_messages():
             if schema is not None and schema.name == "sensor_msgs/msg/CompressedImage":
-                pictures += picture(message.data)
+                pictures += cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR) is not None
     return f"{pictures} pictures"
 
 
-def picture(data: bytes) -> bool:
-    """Decode one JPEG."""
-    import cv2
-    import numpy as np
-
-    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
-
-
 def rosbags(path: Path) -> str:
-    """Decode every message with rosbags."""
     from rosbags.highlevel import AnyReader
 
     count = 0
@@ -45,7 +35,6 @@ def rosbags(path: Path) -> str:
 
 
 def ours(path: Path) -> str:
-    """Read the columns that locfuse reads, from every topic that it can use."""
     from locfuse.formats.logs.log import open_log
     from locfuse.fusion.sensors.registry import REGISTRY
     from locfuse.fusion.truth import TRUTH_READS

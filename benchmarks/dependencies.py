@@ -6,8 +6,6 @@ A size is that of the installed files on this platform. An import time is the CP
 imports the package, minus that of an empty one: the smallest of five runs. `locfuse --help` imports only click.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from importlib import metadata
@@ -50,7 +48,6 @@ def needed(package: str) -> set[str]:
 
 
 def with_their_own(packages: set[str]) -> set[str]:
-    """Return packages with all packages that they require, directly or not."""
     found = set[str]()
     while packages:
         found |= packages
@@ -59,7 +56,6 @@ def with_their_own(packages: set[str]) -> set[str]:
 
 
 def megabytes(packages: set[str]) -> float:
-    """Return the size of packages on disk."""
     size = 0
     for package in packages & {plain(d.name) for d in metadata.distributions()}:
         paths = [Path(str(file.locate())) for file in metadata.files(package) or []]
@@ -68,23 +64,18 @@ def megabytes(packages: set[str]) -> float:
 
 
 def seconds(code: str) -> float:
-    """Return the CPU time [s] of a new interpreter for some code: the smallest of a few runs."""
     return min(cost((sys.executable, "-c", code)).cpu for _ in range(RUNS))
 
 
 def main() -> None:
-    """Print the table, the largest package first."""
     packages, rows, empty = needed("locfuse"), [], seconds("pass")
     assert packages == {plain(name) for name in USES}
     for name in USES:
         own: set[str] = {plain(name)}
         took = max(seconds(f"import {MODULES.get(name, name)}") - empty, 0.0)
         rows.append((megabytes(own), megabytes(with_their_own(own)), name, took))
-    lines = [
-        (name, f"{own:.1f}", f"{all_:.1f}", f"{took:.2f}", USES[name]) for own, all_, name, took in sorted(rows)
-    ]
-    everything = with_their_own(packages)
-    last = ("**all of them**", "", f"**{megabytes(everything):.0f}**", "", "")
+    lines = [(name, f"{own:.1f}", f"{all_:.1f}", f"{s:.2f}", USES[name]) for own, all_, name, s in sorted(rows)]
+    last = ("**all of them**", "", f"**{megabytes(with_their_own(packages)):.0f}**", "", "")
     head = ("package", "MB", "MB with what it needs", "import [s]", "used for")
     print("\n".join(table(head, [*reversed(lines), last], "123")))
 

@@ -6,8 +6,6 @@ Random tours with one wrong key in robot.toml: the value that `info` proposes is
 finding about another key, or about a right robot.toml, is a false alarm.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,7 +39,6 @@ WRONG: tuple[tuple[str, str, str, float, str], ...] = (
 
 
 def findings(log: Path, *sets: str) -> list[Finding]:
-    """Return the severe findings under these settings."""
     overview = inspect_log([log], LogOptions(sets=sets, quiet=True))
     return [o for o in overview.findings if o.severe]
 
@@ -67,7 +64,6 @@ def work(seed: int) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the number of false alarms, and a row for each wrong setting."""
     yield f"nothing is wrong: {sum(row['complaints'] > 0 for row in rows)} of {len(rows)} drives complain\n"
     lines: list[tuple[Any, ...]] = []
     for i, (key, value, _, within, _) in enumerate(WRONG):

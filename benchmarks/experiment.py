@@ -2,17 +2,13 @@
 
 An experiment consists of a function that makes the row of one task, and a function that makes a table of all rows:
 
-    found = experiment.rows(work, [(case, seed) for seed in seeds for case in cases], Path("out.jsonl"), jobs=2)
-
-`main = experiment.command(work, table, CASES)` makes a command of both. `simulated` makes the drives.
+    main = experiment.command(work, table, CASES)
 
 `work(*task)` returns a dict that JSON can store. Every row is appended to the file at once, and tasks with a row
 in the file are not repeated, so that an experiment can be stopped at any time. If a task raises an error, its row
 has the message under "failed", and the task is repeated in the next run. Delete the file when the code changes:
 all rows of a table must be made by the same code.
 """
-
-from __future__ import annotations
 
 import atexit
 import contextlib
@@ -66,9 +62,9 @@ class Simulated(NamedTuple):
         return measure(self.streams, robot), robot
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=16)  # tasks often share a drive
 def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> Simulated:
-    """Return a drive of a scenario with changed settings; it is cached, since tasks often share a drive."""
+    """Return a drive of a scenario with changed settings."""
     topics, tables, outcome = in_memory(load(scenario, sets), seed)
     roles = ("wheels", "truth", *REGISTRY)
     streams = {r: topics[tables[r]["topic"]] for r in roles if r in tables and tables[r].get("topic") in topics}
@@ -106,11 +102,7 @@ def locfuse(*words: Any) -> Done:
 
 
 def in_processes(work: Callable[[Any], Any], units: Iterable[Any], jobs: int) -> Iterator[tuple[Any, Any]]:
-    """Yield (unit, result of `work`) for each unit, in the order in which they finish.
-
-    Each unit runs in its own forked process. If a process dies, its result is a RuntimeError, and the others go
-    on.
-    """
+    """Yield (unit, result of `work`) as they finish, each from its own forked process; RuntimeError if it died."""
     fork, left = multiprocessing.get_context("fork"), iter(units)
     running: dict[Any, Any] = {}  # pipe end that receives the result -> process, unit
     while True:
@@ -139,22 +131,14 @@ def _answer(pipe: Any, work: Callable[[Any], Any], unit: Any) -> None:
 
 
 def rows(
-    work: Work,
-    tasks: Iterable[Task],
-    out: Path | None = None,
-    jobs: int = 1,
-    about: Mapping[str, Any] | None = None,
+    work: Work, tasks: Iterable[Task], out: Path | None = None, jobs: int = 1, about: Mapping[str, Any] = {}
 ) -> list[Row]:
     """Return a row for each task, in order: {"task": [...], ...} with the result of `work`.
 
-    Args:
-        work: makes one row.
-        tasks: arguments of `work`, a tuple for each row.
-        out: a file of rows, one JSON object per line; None: rows are not stored.
-        jobs: number of processes at a time; 1: in this process.
-        about: options of the experiment; rows that were made with other options are not read from the file.
+    With a file `out` (one JSON object per line), its rows are not made again, unless they were made with other
+    options `about`. With one job the tasks run in this process.
     """
-    wanted, options = list(tasks), json.loads(json.dumps(about or {}))
+    wanted, options = list(tasks), json.loads(json.dumps(about))
     done = {tuple(row["task"]): row for row in _kept(out) if FAILED not in row and row.get("about", {}) == options}
     left = [task for task in wanted if task not in done]
     scratch()  # create the folder in this process, which removes it at its end
@@ -179,7 +163,6 @@ def _kept(out: Path | None) -> list[Row]:
 
 
 def _in_turn(work: Work, tasks: Iterable[Task], jobs: int) -> Iterator[Row]:
-    """Yield the rows of tasks, each run in its own process, as they finish."""
     for task, found in in_processes(partial(_row, work), tasks, jobs):
         died = isinstance(found, RuntimeError)
         yield {"task": list(task), FAILED: f"the process died: {found}"} if died else found
@@ -218,6 +201,11 @@ def table(head: Sequence[str], lines: Iterable[Sequence[Any]], right: str = "") 
     return [f"| {words[0]} |", f"|{'|'.join(rule)}|", *(f"| {line} |" for line in words[1:])]
 
 
+def option(*names: str, **how: Any) -> click.Option:
+    """Return an option for `command`."""
+    return click.Option(names, show_default=True, **how)
+
+
 def command(
     work: Work,
     table: Callable[[list[Row]], Iterable[str]],
@@ -227,15 +215,10 @@ def command(
     first: int = FIRST_SEED,
     options: Sequence[click.Option] = (),
 ) -> click.Command:
-    """Return a command that runs `work` on every case and seed and prints `table` of the rows.
+    """Return a command that runs `work` on every case and seed and prints `table` of the rows that did not fail.
 
-    Args:
-        work: called with (case, seed) and the values of `options`; case or seed is left out if there is none.
-        table: returns lines of text for the rows that did not fail.
-        cases: names; `--case WORD` selects those that contain the word.
-        drives: default of `--drives`, the number of seeds; 0: the cases are recorded logs, without seeds.
-        first: the first seed.
-        options: more options of the command, which are passed to `work`.
+    `work` is called with (case, seed) and the values of `options`; case or seed is left out if there is none.
+    With `drives` = 0 the cases are recorded logs, without seeds.
     """
 
     def main(
@@ -245,8 +228,7 @@ def command(
         seeds: list[Task] = [(seed,) for seed in range(first, first + drives)] or [()]
         tasks = [(*name, *seed) for seed in seeds for name in names]
         made = rows(partial(work, **more), tasks, out, jobs, about=more)
-        for line in (*table(well(made)), *failures(made)):
-            click.echo(line)
+        click.echo("\n".join([*table(well(made)), *failures(made)]))
 
     of_seeds = [
         option("--drives", "--seeds", "drives", default=drives),
@@ -259,8 +241,3 @@ def command(
         option("-o", "out", type=click.Path(path_type=Path), help="File of rows: goes on where it stopped."),
     ]
     return click.Command(None, callback=main, params=[*usual, *options], help="Print a table over drives.")
-
-
-def option(*names: str, **how: Any) -> click.Option:
-    """Return an option for `command`."""
-    return click.Option(names, show_default=True, **how)

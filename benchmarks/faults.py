@@ -7,8 +7,6 @@ slip, it may be at most three times the error of the same drive without the slip
 filter must stay consistent. A clock offset must be reported within 20 ms, and have no effect once it is set.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -78,8 +76,7 @@ def work(name: str, seed: int) -> Row:
 
     For a clock offset, the reported value is set first; `off` [s] is the error of this value.
     """
-    case, found = CASES[name], {}
-    run = driven(case.fault, seed)
+    case, found, run = CASES[name], {}, driven(CASES[name].fault, seed)
     drive, robot = run.measured()
     if name == CLOCK:
         lag = clock_lags(drive.measurements, drive.wheels)["lrf"].offset
@@ -97,8 +94,9 @@ def table(rows: list[Row]) -> Iterator[str]:
         error, yard, anees = (np.mean([row[key] for row in mine]) for key in ("error", "yard", "anees"))
         words = (f"{1000 * error:.1f} mm", f"{error / yard:.2f}", f"{CASES[name].factor:g}", f"{anees:.2f}")
         lines.append((name, *words))
-    head = ("fault", "all with it", "against yardstick", "allowed", "ANEES outside")
-    yield from experiment.table(head, lines, "1234")
+    yield from experiment.table(
+        ("fault", "all with it", "against yardstick", "allowed", "ANEES outside"), lines, "1234"
+    )
     if off := [abs(row["off"]) for row in rows if "off" in row]:
         near = sum(one <= 0.02 for one in off)
         yield f"\n{CLOCK}: reported {1000 * max(off):.0f} ms off at worst, {near} of {len(off)} within 20 ms."

@@ -1,12 +1,9 @@
 """The fields of a message type that can be columns."""
 
-from __future__ import annotations
-
 from locfuse.formats.messages.schema import FILLER, Many, Node, Structure
 
 
 def paths(node: Node, path: str = "", inside: bool = False) -> list[str]:
-    """Return the path of every field of a message type that can be a column."""
     if isinstance(node, Structure) and not node.is_time:
         parts = ((f"{path}.{name}".lstrip("."), part) for name, part in node.fields.items() if name != FILLER)
         return [found for name, part in parts for found in paths(part, name, inside)]

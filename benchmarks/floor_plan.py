@@ -1,7 +1,5 @@
 """A floor plan as an image and a YAML file for ROS map_server: an occupancy grid of walls and furniture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,7 +52,6 @@ def floor_plan(plan: Plan, inside: Point, cell_m: float = 0.05) -> FloorPlan:
 
 
 def write(plan: FloorPlan, path: Path) -> None:
-    """Write `path`.pgm and `path`.yaml."""
     rows, columns = plan.image.shape
     image = path.with_suffix(".pgm")
     image.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + plan.image.tobytes())

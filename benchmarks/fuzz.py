@@ -13,8 +13,6 @@ Each case is a seed, and runs in its own process with limited memory and CPU tim
 --keep; `--first SEED --cases 1` runs one again. The exit code is 1 if a case failed.
 """
 
-from __future__ import annotations
-
 import json
 import resource
 import signal
@@ -56,7 +54,6 @@ def trajectory(name: str) -> bytes:
 
 
 def problems(case: Case, folder: Path) -> Iterator[str]:
-    """Yield problems of a command's result for a case."""
     line = case.write(folder)
     before = {path: path.read_bytes() for path in folder.iterdir()}
     code, out, err = locfuse(*line)
@@ -77,7 +74,6 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
 
 
 def of_files(case: Case, folder: Path, texts: dict[str, str]) -> Iterator[str]:
-    """Yield problems of texts for people, and of files left behind."""
     texts |= {p.name: p.read_text("utf-8", "surrogateescape") for p in folder.rglob("*") if p.suffix in TEXTS}
     for name, text in texts.items():
         if name not in case.beside and (found := UNSEEN.search(text.replace("\n", ""))):

@@ -1,7 +1,5 @@
 """Parsers on damaged input: each starts from a small corpus (benchmarks/corpus) and may refuse in one line."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math
@@ -94,14 +92,12 @@ def corpus(name: str) -> tuple[bytes, ...]:
 
 
 def written(name: str, data: bytes) -> Path:
-    """Write a file and return its path."""
     (scratch() / name).parent.mkdir(exist_ok=True)
     (scratch() / name).write_bytes(data)
     return scratch() / name
 
 
 def definition(language: str, data: bytes) -> None:
-    """Parse a message definition, and use its tree."""
     tree = parse("a/msg/A", language, data.decode("utf-8", "replace"), filler=language != "ros1msg")
     paths(tree), signature(tree)
 
@@ -121,7 +117,6 @@ def decoded(encoding: str, language: str, definition: bytes, *messages: bytes) -
 
 
 def mcap_record(data: bytes) -> None:
-    """Parse the content of each kind of MCAP record."""
     read = mcap_records
     indexes = (read.chunk_index, read.message_index)
     for kind in (read.schema, read.channel, read.attachment, read.statistics, *indexes):
@@ -131,7 +126,6 @@ def mcap_record(data: bytes) -> None:
 
 
 def log_of(ending: str, data: bytes) -> None:
-    """Open a whole file and decode every topic."""
     log = open_log([written(f"log{ending}", data)])
     for topic in [topic for topic, info in log.topics.items() if info.problem is None]:
         with contextlib.suppress(LocfuseError):
@@ -146,7 +140,6 @@ def metadata(data: bytes) -> None:
 
 
 def journal(data: bytes) -> None:
-    """Read a database with this journal beside it."""
     database = scratch() / "a.db3"
     if not database.exists():
         with contextlib.closing(sqlite3.connect(database)) as made:

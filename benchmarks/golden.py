@@ -14,8 +14,6 @@ largest number for other columns, 1e-7 of the sigmas for a covariance. If submap
 times larger, since the solver of the graph stops at a tolerance.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -63,12 +61,10 @@ class Found(NamedTuple):
 
 
 def evenly(n: int) -> NDArray[np.intp]:
-    """Return at most MOST indices of n, evenly spaced, including the last."""
     return np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.intp)) if n else np.zeros(0, np.intp)
 
 
 def columns_of(e: Estimates) -> Columns:
-    """Return a run's estimates as columns."""
     at = evenly(len(e.t))
     found: Columns = {"instants": np.array([len(e.t)]), "t": e.t[at], "pose": e.pose[at]}
     found["covariance"] = e.P[at][:, *np.triu_indices(3)]
@@ -154,12 +150,10 @@ def printed(words: list[str]) -> Any:
 
 
 def file_of(case: Case) -> str:
-    """Return the file name of a case's result."""
     return f"{re.sub(r'[^a-z0-9=.-]+', '_', case.name.lower())}.npz"
 
 
 def run(logs: Path, into: Path, case: Case) -> None:
-    """Run a case in this process and write its result."""
     began = time.process_time()
     try:
         with tempfile.TemporaryDirectory() as spare:
@@ -182,7 +176,6 @@ def read(file: Path) -> Found:
 
 
 def differences(before: Found, now: Found, slack: float) -> list[str]:
-    """Return how two results of a case differ, in words."""
     if ("error" in before.values) != ("error" in now.values):
         errors = [found.values.get("error", "a result") for found in (before, now)]
         return [f"{errors[0]} before, {errors[1]} now"]
@@ -198,12 +191,8 @@ def differences(before: Found, now: Found, slack: float) -> list[str]:
         a, b = before.values.get(key, "nothing"), now.values.get(key, "nothing")
         report += [] if _equal(a, b, slack) else [f"{key}: {a} before, {b} now"]
     more = f"and {len(columns[LISTED:])} more columns, {len(report[LISTED:])} more values of the report"
-    return [
-        *words,
-        *columns[:LISTED],
-        *report[:LISTED],
-        *([more] if max(len(columns), len(report)) > LISTED else []),
-    ]
+    listed = [*words, *columns[:LISTED], *report[:LISTED]]
+    return [*listed, more] if max(len(columns), len(report)) > LISTED else listed
 
 
 def _equal(a: Any, b: Any, slack: float) -> bool:

@@ -1,7 +1,5 @@
 """Cases of benchmarks.golden: simulated logs, sample logs, real logs, each with its options."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -98,11 +96,12 @@ class Others:
             c, s, half = np.cos(0.7), np.sin(0.7), 0.5 * theta + 0.35
             px, py = x + 0.02 * noise[3], y + 0.02 * noise[4]
             P = np.diag([4e-4, 4e-4, 0.0, 0.0, 0.0, 1e-4]).reshape(36)
-            pose: dict[str, Any] = {"pose.pose.position.x": c * px - s * py + 3.0}
-            pose["pose.pose.position.y"] = s * px + c * py - 2.0
-            pose |= {"pose.pose.orientation.z": np.sin(half), "pose.pose.orientation.w": np.cos(half)}
-            kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
-            pose["pose.covariance"] = P
+            pose: dict[str, Any] = {
+                "pose.pose.orientation.z": np.sin(half),
+                "pose.pose.orientation.w": np.cos(half),
+            }
+            pose |= {"pose.pose.position.x": c * px - s * py + 3.0, "pose.pose.position.y": s * px + c * py - 2.0}
+            pose["pose.covariance"], kind = P, "geometry_msgs/msg/PoseWithCovarianceStamped"
             yield m._replace(topic="/other_pose", msgtype=kind, frame_id="other", fields=pose)
         if self.n % 5 == 0:
             for key, (lx, ly) in list(PLACES.items())[self.n // 5 % 2 :: 2]:
@@ -112,7 +111,6 @@ class Others:
 
 
 def grid(plan: floor_plan.FloorPlan) -> RawMessage:
-    """Return a floor plan as the map that a robot publishes."""
     occupied = {floor_plan.OCCUPIED: 100, floor_plan.UNKNOWN: -1, floor_plan.FREE: 0}
     cells = [occupied[grey] for grey in plan.image[::-1].ravel().tolist()]
     rows, columns = plan.image.shape

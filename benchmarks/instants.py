@@ -3,8 +3,6 @@
 The times are medians of `Filter.advance` over all update times of a kind, with the installed kernels.
 """
 
-from __future__ import annotations
-
 import time
 from functools import cache
 from pathlib import Path
@@ -42,7 +40,6 @@ KINDS = (
 
 @cache
 def loaded(log: Path) -> locfuse.Session:
-    """Return a measured drive."""
     sets = (*golden_cases.TOPICS, f"landmarks.file={log.with_suffix('.csv')}") if log.stem == EVERY else ()
     return locfuse.load(log, sets=sets)
 

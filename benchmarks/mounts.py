@@ -6,8 +6,6 @@ In each drive the configured mount has an error drawn from lrf.sigma_x, sigma_y 
 `stated` the filter uses these sigmas, in the case `certain` sigmas of 0, in the case `exact` the true mount.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks import experiment
@@ -25,15 +23,15 @@ def work(seed: int) -> Row:
     off = np.random.default_rng(seed).normal(size=3) * np.array(list(PRIOR.values()))
     mount = zip(("x", "y", "yaw_deg"), off, strict=True)
     wrong = {key: float(run.tables["lrf"].get(key, 0.0) + d) for key, d in mount}
-    certain, found = dict.fromkeys(PRIOR, 0.0), {}
+    certain = dict.fromkeys(PRIOR, 0.0)
+    found: Row = {}
     for how, keys in {"stated": PRIOR | wrong, "certain": certain | wrong, "exact": certain}.items():
         sets = [f"lrf.{key}={value!r}" for key, value in keys.items()]
         drive, _ = run.measured(["lrf.map=grow", *sets])
         for mode in ("grow", "refine", "consider"):
             robot = run.robot([f"lrf.map={mode}", *sets])
-            for sensors in (["lrf"], ["compass", "lrf"]):
-                judged = evaluate(fuse(drive, robot, sensors), drive)
-                found[f"{mode} {judged.name}, {how}"] = figures(judged)
+            judged = [evaluate(fuse(drive, robot, sensors), drive) for sensors in (["lrf"], ["compass", "lrf"])]
+            found |= {f"{mode} {e.name}, {how}": figures(e) for e in judged}
     return {"found": found}
 
 

@@ -6,8 +6,6 @@ wrong. Changed kernels run interpreted, without the tests that compare interpret
 these would fail for every change. Every mutant is printed: its line, and the expression before and after.
 """
 
-from __future__ import annotations
-
 import ast
 import compileall
 import os
@@ -61,7 +59,7 @@ fusion/judge/against: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
 formats/results/mcap_export formats/container/mcap_write: container/mcap_write
 formats/messages/cdr: messages/layout messages/cdr
-formats/logs/files: messages/message_schema
+formats/logs/files: messages/message_schema container/sources logs/log
 formats/messages/json_messages: messages/json_messages messages/protobuf_messages
 formats/messages/protobuf_messages: messages/protobuf_messages
 formats/messages/schema: messages/message_schema messages/layout messages/cdr
@@ -114,7 +112,6 @@ def _words(node: ast.AST) -> str:
 
 
 def mutants(file: str) -> Iterator[Mutant]:
-    """Yield all possible changes of one file."""
     tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
     swapped = SWAPPED | (BOUND if file.startswith("formats/") else OPPOSITE)
     for node in _looked_at(tree):
@@ -123,7 +120,6 @@ def mutants(file: str) -> Iterator[Mutant]:
 
 
 def _looked_at(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield a node and its descendants, except messages, sizes and annotations."""
     is_size = isinstance(node, ast.Assign) and SIZES.match(text := ast.unparse(node)) and "." not in text
     if not is_size and not isinstance(node, ast.JoinedStr | ast.Raise):
         yield node
@@ -161,7 +157,6 @@ def _comparisons(node: ast.Compare, swapped: Swaps) -> Iterator[tuple[str, Any]]
 
 
 def laid_out(folder: Path, interpreted: bool) -> Path:
-    """Copy the package as it is installed, with its own fusion/ and formats/."""
     package = folder / "locfuse"
     package.mkdir()
     for path in (ROOT / "cli" / "facade").iterdir():
@@ -178,7 +173,6 @@ def laid_out(folder: Path, interpreted: bool) -> Path:
 
 
 def passes(package: Path, tests: tuple[str, ...]) -> bool:
-    """Return whether tests pass with this package instead of the installed one."""
     first = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
     env = {**os.environ, **first}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header"]

@@ -8,8 +8,6 @@ key gets a right value, and no other sensor is named. Without a wrong setting, n
 simulated camera is more exact than any real mirror, so 0.5 degrees of white noise are added to its bearings.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -61,7 +59,6 @@ CASES = {
 
 
 def noisy(drive: Drive, sensor: str, noise: Array) -> Drive:
-    """Add noise to a sensor's measurements."""
     m = drive.measurements[sensor]
     return replace(drive, measurements={**drive.measurements, sensor: replace(m, z=wrap_all(m.z + noise))})
 
@@ -88,26 +85,22 @@ def is_right(case: Case, found: dict[str, Consistency]) -> bool:
 
 
 def work(name: str, seed: int) -> Row:
-    """Return whether the verdicts of one case were right, and the verdicts."""
     case, rng = CASES[name], np.random.default_rng(seed)
     drive, robot = experiment.simulated("rounded_rectangle", SCENARIO, seed).measured(case.sets)
     drive = noisy(drive, "camera", CAMERA_NOISE * rng.normal(size=drive.measurements["camera"].z.shape))
     if name == SLOW_CASE:
         drive = noisy(drive, "compass", slow_noise(drive.measurements["compass"].t, rng)[:, None])
     configurations = ((), *((s,) for s in SENSORS), SENSORS)
-    found = judge([RunInnovations.of(drive, fuse(drive, robot, sensors)) for sensors in configurations], robot)[
-        "all"
-    ]
+    runs = [RunInnovations.of(drive, fuse(drive, robot, sensors)) for sensors in configurations]
+    found = judge(runs, robot)["all"]
     words = [c.words for c in found.values() if c.verdict not in {"consistent", "unclear"}]
     return {"right": is_right(case, found), "words": "; ".join(words) or "nothing"}
 
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the share of right verdicts, then the wrong ones."""
-    lines = [
-        (name, f"{sum(row['right'] for row in mine)} of {len(mine)}", mine[0]["words"])
-        for name, mine in experiment.by_case(rows).items()
-    ]
+    cases = experiment.by_case(rows).items()
+    lines = [(name, f"{sum(row['right'] for row in m)} of {len(m)}", m[0]["words"]) for name, m in cases]
     yield from experiment.table(("case", "right", "said first"), lines, "1")
     yield from (f"seed {row['task'][1]}, {row['task'][0]}: {row['words']}" for row in rows if not row["right"])
 

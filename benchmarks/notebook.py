@@ -8,8 +8,6 @@ Jupyter is not needed: a notebook is JSON (nbformat 4). Figures are not compared
 fonts of the machine.
 """
 
-from __future__ import annotations
-
 import ast
 import base64
 import contextlib
@@ -59,7 +57,7 @@ def _run(source: str, namespace: dict[str, Any], count: int) -> Outputs:
             value = eval(compile(ast.Expression(last.value), "cell", "eval"), namespace)
     outputs: Outputs = []
     if printed.getvalue():
-        outputs.append({"output_type": "stream", "name": "stdout", "text": _lines(printed.getvalue())})
+        outputs.append({"output_type": "stream", "name": "stdout", "text": printed.getvalue().splitlines(True)})
     if value is not None:
         result = {"output_type": "execute_result", "execution_count": count, "data": _shown(value), "metadata": {}}
         outputs.append(result)
@@ -75,15 +73,10 @@ def _run(source: str, namespace: dict[str, Any], count: int) -> Outputs:
 def _shown(value: Any) -> dict[str, Any]:
     """Return a value as a notebook's output: text, and HTML if it has any."""
     html = getattr(value, "_repr_html_", None)
-    return {"text/plain": _lines(repr(value)), **({"text/html": _lines(html())} if html else {})}
-
-
-def _lines(text: str) -> list[str]:
-    return text.splitlines(keepends=True)
+    return {"text/plain": repr(value).splitlines(True), **({"text/html": html().splitlines(True)} if html else {})}
 
 
 def without_figures(notebook: dict[str, Any]) -> list[Any]:
-    """Return the cells with the bytes of their figures left out."""
     cells: list[Any] = json.loads(
         json.dumps(notebook["cells"]),
         object_hook=lambda part: {key: "..." if key == "image/png" else part[key] for key in part},

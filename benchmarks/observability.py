@@ -5,8 +5,6 @@ has the pose of a local frame in the map as states. In the other one (the usual 
 and lines are relative to the map itself.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,9 +16,7 @@ from benchmarks.consistency import MOVING, SCENARIO
 from benchmarks.experiment import simulated
 from locfuse.fusion.data import Array, Drive, Measurements
 from locfuse.fusion.fuse import Due, Filter, due_readings, steps_of
-from locfuse.fusion.robot import Robot
 
-SEED = 1000
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "observability.svg"
 
 
@@ -42,12 +38,13 @@ def directions(run: Filter, drive: Drive) -> Array:
     return np.array(rows)
 
 
-def draw(drive: Drive, robot: Robot, path: Path) -> None:
+def main() -> None:
     """Draw both filters."""
     mpl.use("svg")
     mpl.rcParams.update({"svg.hashsalt": "locfuse", "font.size": 9, "svg.fonttype": "none"})
     from matplotlib import pyplot as plt
 
+    drive, robot = simulated(SCENARIO, MOVING, 1000).measured()
     figure, axes = plt.subplots(figsize=(6.0, 2.4), layout="constrained")
     for kind, words in ((Filter, "map frame as states"), (WithoutFrame, "without (version 0.1)")):
         t, sigma = directions(kind(robot, ["lrf"]), drive).T
@@ -55,8 +52,8 @@ def draw(drive: Drive, robot: Robot, path: Path) -> None:
     axes.set(xlabel="time [s]", ylabel="sigma of a wall's direction [°]", ylim=(0.0, None))
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, metadata={"Date": None})
+    figure.savefig(PICTURE, metadata={"Date": None})
 
 
 if __name__ == "__main__":
-    draw(*simulated(SCENARIO, MOVING, SEED).measured(), PICTURE)
+    main()

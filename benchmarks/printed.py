@@ -6,8 +6,6 @@ Both filters process the same measurements of the same simulated drives, and are
 called `repaired` is the printed filter with some corrected equations.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -41,7 +39,6 @@ def right_W(ds: Array, dtheta: Array, theta: Array, L: float) -> Array:
 
 
 def right_H(C: float, beta: float) -> Array:
-    """Equation 13 with the derivative of |C|."""
     s = math.copysign(1.0, C)
     return np.array([[-s * math.cos(beta), -s * math.sin(beta), 0.0], [0.0, 0.0, -1.0]])
 

@@ -8,8 +8,6 @@ Python page, all ```python blocks are run in page order, in one namespace; a ```
 output.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import io
@@ -34,7 +32,6 @@ NOTHING = " > /dev/null"
 
 
 def commands(block: str) -> list[str]:
-    """Return the commands of one block."""
     return [line[2:] for line in block.splitlines() if line.startswith("$ ")]
 
 
@@ -64,7 +61,6 @@ def replayed(page: str, folder: Path) -> str:
 
 
 def replayed_python(page: str, folder: Path) -> str:
-    """Return the page with today's output of its Python code, run in `folder`."""
     namespace: dict[str, object] = {}
 
     def replay(match: re.Match[str]) -> str:
@@ -78,7 +74,6 @@ def replayed_python(page: str, folder: Path) -> str:
 
 
 def today() -> Iterator[tuple[Path, str]]:
-    """Yield every page with today's output."""
     for name in (*PAGES, *PYTHON_PAGES):
         with tempfile.TemporaryDirectory() as folder:
             page, replay = (ROOT / name).read_text(), replayed_python if name in PYTHON_PAGES else replayed

@@ -1,7 +1,5 @@
 """Recorded logs in the folder LOCFUSE_DATA: path of each, and settings of its robot."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -35,7 +33,6 @@ KNOWN: dict[str, dict[str, Any]] = {  # name -> settings
 
 
 def are_there() -> bool:
-    """Return whether a folder of real logs is set."""
     return bool(os.environ.get(DATA))
 
 

@@ -4,8 +4,6 @@ python -m benchmarks.reference           exit 1 where a page differs from the co
 python -m benchmarks.reference --write   write the pages
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -92,7 +90,6 @@ def _definitions(records: Sequence[tuple[str, str]]) -> str:
 
 
 def settings_page() -> str:
-    """Return the page of all sensors and all keys of robot.toml."""
     schema = robot_schema()
     head = (
         "SI units; degrees where a key ends in `_deg`. A key without a default is found, estimated or not used. "
@@ -119,7 +116,6 @@ def settings_page() -> str:
 
 
 def _first(schema: Schema) -> Iterator[str]:
-    """Yield the keys that most robots need, by table, in the order of need."""
     for table, keys in FIRST_KEYS.items():
         assert set(keys.split()) <= schema["$defs"][table_types()[table].__name__]["properties"].keys(), table
         yield f"- [{table}](#{table}): {', '.join(f'`{key}`' for key in keys.split())}"
@@ -138,7 +134,6 @@ def _of_sensor(name: str) -> Iterator[str]:
 
 
 def report_page() -> str:
-    """Return the page of the keys of report.json."""
     schema = SCHEMAS["report"]()
     head = (
         "`report.json` of `locfuse compare`, `run.json` of `locfuse run`. A report may hold more keys; "
@@ -168,7 +163,6 @@ def _table(definition: Schema) -> Iterator[str]:
 
 
 def _setting(key: str, part: Schema) -> str:
-    """Return the row of a setting with default and choices."""
     default = f" = {json.dumps(part['default'])}" if part.get("default") is not None else ""
     choices = _type(part) if "enum" in part else ""
     return f"| `{key}{default}` | {'; '.join(filter(None, (choices, _meaning(part))))} |"
@@ -179,7 +173,6 @@ def _meaning(part: Schema) -> str:
 
 
 def _type(part: Schema) -> str:
-    """Return a type in words."""
     if "$ref" in part:
         name = part["$ref"].rpartition("/")[2]
         return f"[{name}](#{name.lower()})"
@@ -219,7 +212,6 @@ def llms_page() -> str:
 
 
 def _summary() -> str:
-    """Return the summary of the product from the README."""
     return " ".join((ROOT / "README.md").read_text().split("\n\n")[1].split())
 
 

@@ -10,8 +10,6 @@ of every sensor ("helps", "hurts", or neither), and the error of its own configu
 other one "hurts".
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -43,7 +41,6 @@ GRADES = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1, "no 
 
 
 def work(name: str) -> Row:
-    """Return every sensor's verdicts and errors with the truth and without it."""
     log = name.partition(", ")[0]
     path = log if log in SAMPLES else folder() / FILES[log]
     by_truth, hidden = (
@@ -67,7 +64,6 @@ def judged(sensor: str, by_truth: dict[str, Any], hidden: dict[str, Any]) -> Row
 
 
 def outcome(row: Row) -> str:
-    """Return whether both verdicts agree."""
     truth, other = GRADES.get(row["by_truth"]), GRADES.get(row["by_reference"])
     if truth is None or other is None:
         return "no verdict without truth" if other is None else "no verdict by truth"
@@ -75,7 +71,6 @@ def outcome(row: Row) -> str:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield both verdicts of every sensor, and how often they agree."""
     found = [{"log": row["task"][0], **sensor} for row in rows for sensor in row["sensors"]]
     lines = []
     for row in found:

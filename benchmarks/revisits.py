@@ -7,8 +7,6 @@ paths differ by a fifth, the better one should have the higher agreement, and a 
 A pair counts only if the measures differ enough (MIN_HINT, MIN_RATIO), as in the report.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import Any
@@ -64,7 +62,6 @@ def ranked(paths: dict[str, list[float | None]], figure: int) -> tuple[int, int]
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield each path's figures, then how many pairs each figure ranks correctly."""
     lines = [
         (row["task"][0], way, *("-" if v is None else f"{v:{form}}" for v, form in zip(path, FORMS, strict=True)))
         for row in rows

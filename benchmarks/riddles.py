@@ -4,8 +4,6 @@ It prints first paragraphs drawn at random. A riddle is a paragraph that a stude
 language must read twice. The results are in benchmarks/riddles.md.
 """
 
-from __future__ import annotations
-
 import ast
 import random
 from collections.abc import Iterator

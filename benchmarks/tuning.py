@@ -8,8 +8,6 @@ Standard deviations are configured 10 times too large or too small (wheels.noise
 has the ratios of tuned to simulated noise. The compass has no iron, so that its noise is white.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -47,13 +45,10 @@ def work(seed: int, scenario: str, sets: tuple[str, ...]) -> Row:
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the ratios of tuned to true noise."""
     lines: list[tuple[Any, ...]] = []
-    for row in rows:
-        for factor, found in row["found"].items():
-            first, seconds = (row["task"][0], factor), f"{found['s']:.0f} s"
-            lines += [(*first, key, f"{ratio:.3f}", seconds) for key, ratio in found["ratios"]]
-            lines += [(*first, flag, "", "") for flag in found["flags"]]
+    for seed, factor, found in ((row["task"][0], *item) for row in rows for item in row["found"].items()):
+        lines += [(seed, factor, key, f"{ratio:.3f}", f"{found['s']:.0f} s") for key, ratio in found["ratios"]]
+        lines += [(seed, factor, flag, "", "") for flag in found["flags"]]
     yield from experiment.table(("seed", "configured", "key", "found / true", "CPU"), lines, "0134")
 
 

@@ -64,8 +64,15 @@ def test_a_truth_that_begins_metres_later_has_begun_where_the_robot_is_by_then()
 
 def test_a_truth_that_jumps_all_the_time_judges_nothing(tmp_path: Path) -> None:
     """A tracker that takes one of two bodies for the robot, in turn, ten times a second."""
-    log = recorded(tmp_path, each(TRUTH, lambda m: changed(
-        m, **{"pose.position.x": m.fields["pose.position.x"] + 4.0 * (int(seconds(m) * 10) % 2)})))  # fmt: skip
+    log = recorded(
+        tmp_path,
+        each(
+            TRUTH,
+            lambda m: changed(
+                m, **{"pose.position.x": m.fields["pose.position.x"] + 4.0 * (int(seconds(m) * 10) % 2)}
+            ),
+        ),
+    )
     done = locfuse("info", log, "--check")
     assert done.exit_code == 3
     assert "by more than the wheels rolled" in done.stdout
@@ -143,9 +150,11 @@ def rare(topic: str, step: int) -> Change:
 
 @pytest.mark.parametrize(
     ("topic", "step", "words"),
-    [(TRUTH, 120, "truth: it has 3 poses in the 30.4 s of the drive, too few"),
-     (WHEELS, 700, "wheels: /joint_states: 2 readings in 28.0 s, one each 28.0 s")],
-)  # fmt: skip
+    [
+        (TRUTH, 120, "truth: it has 3 poses in the 30.4 s of the drive, too few"),
+        (WHEELS, 700, "wheels: /joint_states: 2 readings in 28.0 s, one each 28.0 s"),
+    ],
+)
 def test_what_is_too_rare_judges_and_charges_nothing(tmp_path: Path, topic: str, step: int, words: str) -> None:
     log = recorded(tmp_path, rare(topic, step))
     said = locfuse("info", log).stdout.partition("would spoil an estimate\n")[2].partition("\n\n")[0]
@@ -197,11 +206,17 @@ def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_be
 
 NO_FIELD = field(COMPASS, **dict.fromkeys(("magnetic_field.x", "magnetic_field.y"), math.nan))
 EMPTY = [
-    *((field(SCAN, ranges=lambda r, v=value: np.full(len(r), v, np.float32)), "lrf",
-       f"no line in {{n}} of {{n}} readings: its ranges are 100% {words}. Check the sensor", 0)
-      for value, words in ((math.nan, "NaN"), (math.inf, "inf"), (0.0, "zero"))),
+    *(
+        (
+            field(SCAN, ranges=lambda r, v=value: np.full(len(r), v, np.float32)),
+            "lrf",
+            f"no line in {{n}} of {{n}} readings: its ranges are 100% {words}. Check the sensor",
+            0,
+        )
+        for value, words in ((math.nan, "NaN"), (math.inf, "inf"), (0.0, "zero"))
+    ),
     (NO_FIELD, "compass", "none of {n} readings can be used: {n} hold NaN or Inf. Check the sensor", 3),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("change", "sensor", "words", "code"), EMPTY, ids=["nan", "inf", "zero", "compass"])

@@ -24,12 +24,14 @@ def of_errors(errors: dict[str, float], verdicts: dict[str, str] | None = None, 
 
 @pytest.mark.parametrize(
     ("verdicts", "end"),
-    [({"lrf": "no verdict"}, "the laser (lrf) itself cannot be checked."),
-     ({"lrf": "no verdict", "compass": "no verdict"}, "of the sensors nothing is sure."),
-     ({"lrf": "no effect seen"}, "of the sensors nothing is sure."),
-     ({"lrf": "helps", "compass": "no verdict"}, "the laser (lrf) helps."),
-     ({"lrf": "helps", "compass": "hurts"}, "the laser (lrf) helps; the compass hurts.")],
-)  # fmt: skip
+    [
+        ({"lrf": "no verdict"}, "the laser (lrf) itself cannot be checked."),
+        ({"lrf": "no verdict", "compass": "no verdict"}, "of the sensors nothing is sure."),
+        ({"lrf": "no effect seen"}, "of the sensors nothing is sure."),
+        ({"lrf": "helps", "compass": "no verdict"}, "the laser (lrf) helps."),
+        ({"lrf": "helps", "compass": "hurts"}, "the laser (lrf) helps; the compass hurts."),
+    ],
+)
 def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: dict[str, str], end: str) -> None:
     found = headline(of_errors({"odometry": 0.052}, verdicts, reference={"sensors": ["lrf"]}), {"odometry": ()})
     assert found == f"Measured against a reference, not truth: odometry alone differs by 52 mm; {end}"
@@ -55,10 +57,12 @@ def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, aligne
 
 @pytest.mark.parametrize(
     ("compass", "camera", "end"),
-    [("hurts", "no effect seen", "the compass hurts."),
-     ("seems to hurt", "hurts", "one of the compass and the camera hurts."),
-     ("seems to help", "no effect seen", "leave the compass and the camera out.")],
-)  # fmt: skip
+    [
+        ("hurts", "no effect seen", "the compass hurts."),
+        ("seems to hurt", "hurts", "one of the compass and the camera hurts."),
+        ("seems to help", "no effect seen", "leave the compass and the camera out."),
+    ],
+)
 def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, camera: str, end: str) -> None:
     verdicts = {"lrf": "helps", "compass": compass, "camera": camera}
     report = of_errors({"odometry": 3.0, "lrf": 0.75, "all": 4.2}, verdicts)
@@ -86,13 +90,15 @@ def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
 
 @pytest.mark.parametrize(
     ("anees", "fixed", "sigma", "words"),
-    [(2.9, None, 0.0, ""),
-     (9.0, None, 0.0, " The covariance (all) is 3.0 times too small, and no setting explains it."),
-     (9.0, 1.1, 0.0, ""),
-     (9.0, 4.0, 0.0, " The covariance (all) is still 2.0 times too small, and no setting explains it."),
-     (4235.0, None, 0.0, " ANEES (all) is over 50: set truth.sigma, the truth's own noise, to judge it."),
-     (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it.")],
-)  # fmt: skip
+    [
+        (2.9, None, 0.0, ""),
+        (9.0, None, 0.0, " The covariance (all) is 3.0 times too small, and no setting explains it."),
+        (9.0, 1.1, 0.0, ""),
+        (9.0, 4.0, 0.0, " The covariance (all) is still 2.0 times too small, and no setting explains it."),
+        (4235.0, None, 0.0, " ANEES (all) is over 50: set truth.sigma, the truth's own noise, to judge it."),
+        (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it."),
+    ],
+)
 def test_an_unexplained_covariance_is_named(anees: float, fixed: float | None, sigma: float, words: str) -> None:
     tried = {"configuration": "all", "after": {"anees": fixed}}
     report: dict[str, Any] = {
@@ -111,7 +117,7 @@ def test_an_unexplained_covariance_is_named(anees: float, fixed: float | None, s
         (0.01, {"start": {"sigma_xy": 5.0}}, ": start.sigma_xy=5 m is far larger than the errors show."),
         (0.01, {}, ": wheels.noise is far larger than the errors show."),
     ],
-)  # fmt: skip
+)
 def test_a_covariance_that_is_far_too_large_names_the_sigma(
     anees: float, settings: dict[str, Any], words: str
 ) -> None:
@@ -158,10 +164,13 @@ def finding(*advice: Advice) -> Any:
 
 @pytest.mark.parametrize(
     ("steps", "message", "fixes"),
-    [((LATE, HIGH), "stamps look 0.1 s late; after this fix: noise is set too high", LATE.fixes + HIGH.fixes),
-     ((HIGH, LOW), LOW.finding.message, LOW.fixes), ((LATE, AGAIN), LATE.finding.message, AGAIN.fixes)],
+    [
+        ((LATE, HIGH), "stamps look 0.1 s late; after this fix: noise is set too high", LATE.fixes + HIGH.fixes),
+        ((HIGH, LOW), LOW.finding.message, LOW.fixes),
+        ((LATE, AGAIN), LATE.finding.message, AGAIN.fixes),
+    ],
     ids=["of different things: one after the other", "set otherwise later: not told", "measured again: told once"],
-)  # fmt: skip
+)
 def test_several_steps_become_one_message(steps: tuple[Advice, ...], message: str, fixes: tuple[str, ...]) -> None:
     found = finding(*steps)
     assert (found["message"], found["fixes"]) == (message, list(fixes))
@@ -203,10 +212,13 @@ def test_what_was_tried_in_vain_says_why_it_is_not_offered(harmless: bool, said:
         ({"anees": 47.3}, {"anees": 1.0}, "ANEES 47 -> 1)"),
         ({"anees": 50.2}, {"anees": 1.0}, "ANEES over 50 -> 1)"),
         ({"anees": 6.6e10}, {"anees": 1.0}, "ANEES over 50 -> 1)"),
-        ({"position_rmse_m": 0.0052, "aligned": True}, {"position_rmse_m": 0.0036, "aligned": True},
-         "(tried with lrf: error of the path's shape 5.2 -> 3.6 mm)"),
+        (
+            {"position_rmse_m": 0.0052, "aligned": True},
+            {"position_rmse_m": 0.0036, "aligned": True},
+            "(tried with lrf: error of the path's shape 5.2 -> 3.6 mm)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_a_fix_did_is_said_in_two_digits_and_an_error_of_the_shape_is_called_so(
     before: dict[str, Any], after: dict[str, Any], words: str
 ) -> None:
@@ -217,10 +229,13 @@ def test_what_a_fix_did_is_said_in_two_digits_and_an_error_of_the_shape_is_calle
 
 @pytest.mark.parametrize(
     ("advice", "doubt"),
-    [(replace(LATE, finding=SURE), "lrf: late. All figures are without this fix: --set lrf.time_offset=-0.1"),
-     (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
-     (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None), (LATE, None)],
-)  # fmt: skip
+    [
+        (replace(LATE, finding=SURE), "lrf: late. All figures are without this fix: --set lrf.time_offset=-0.1"),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None),
+        (LATE, None),
+    ],
+)
 def test_figures_are_doubtful_while_something_is_wrong(advice: Advice, doubt: str | None) -> None:
     """How it was measured stands with the finding."""
     lrf = {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}
@@ -252,8 +267,10 @@ def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:
 
 @pytest.mark.parametrize(
     ("words", "same"),
-    [("Keep it: 68 mm. Odometry alone: 113 mm.", "Keep it: 68 mm. Odometry alone: 113 mm."),
-     ("Keep it: 87 mm, smoothed 4.5 mm. With all it is 1.20 m.", None)],
-)  # fmt: skip
+    [
+        ("Keep it: 68 mm. Odometry alone: 113 mm.", "Keep it: 68 mm. Odometry alone: 113 mm."),
+        ("Keep it: 87 mm, smoothed 4.5 mm. With all it is 1.20 m.", None),
+    ],
+)
 def test_a_headline_has_one_unit_of_length(words: str, same: str | None) -> None:
     assert in_one_unit(words) == (same or "Keep it: 0.087 m, smoothed 0.0045 m. With all it is 1.20 m.")

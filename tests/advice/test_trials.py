@@ -32,19 +32,23 @@ def trial(smoothed: dict[Fixes, float], agreement: dict[Fixes, float] | None = N
         return {name: Marks(errors[fixes]) for name in names}
 
     return SimpleNamespace(
-        whole=1, loaded=1, configurations=configurations,
+        whole=1,
+        loaded=1,
+        configurations=configurations,
         on_whole=lambda fixes, names: score(causal, fixes, names),
         smoothed=lambda fixes, names: score(smoothed, fixes, [n for n in names if n == "lrf" and smoothed]),
-        agreement=lambda fixes: agreement and agreement[fixes]
-    )  # fmt: skip
+        agreement=lambda fixes: agreement and agreement[fixes],
+    )
 
 
 @pytest.mark.parametrize(
     ("errors", "left"),
-    [((0.16, 0.59, 0.15, 0.56), [(NOISE,), ()]),  # with the clock, with the noise, with both
-     ((0.16, 0.15, 0.59, 0.56), [(CLOCK,), ()]),
-     ((0.16, 0.15, 0.15, 0.14), [(CLOCK,), (NOISE,)])],
-)  # fmt: skip
+    [
+        ((0.16, 0.59, 0.15, 0.56), [(NOISE,), ()]),  # with the clock, with the noise, with both
+        ((0.16, 0.15, 0.59, 0.56), [(CLOCK,), ()]),
+        ((0.16, 0.15, 0.15, 0.14), [(CLOCK,), (NOISE,)]),
+    ],
+)
 def test_a_fix_that_makes_the_smoothed_path_worse_is_none(errors: tuple[float, ...], left: list[Fixes]) -> None:
     smoothed = dict(zip(((), (CLOCK,), (NOISE,), (CLOCK, NOISE)), errors, strict=True))
     found, kept = on_the_whole_drive([EARLY, SLIPS], trial(smoothed), afterwards=True)
@@ -100,9 +104,11 @@ def test_the_noise_and_the_point_of_the_truth_are_judged_by_the_run_that_is_know
 
 @pytest.mark.parametrize(
     ("last", "left"),
-    [("0.000", [("lrf", ("lrf.range_scale=0.95",))]),
-     ("-0.050", [("camera", ("camera.time_offset=-0.050",)), ("lrf", ("lrf.range_scale=0.95",))])],
-)  # fmt: skip
+    [
+        ("0.000", [("lrf", ("lrf.range_scale=0.95",))]),
+        ("-0.050", [("camera", ("camera.time_offset=-0.050",)), ("lrf", ("lrf.range_scale=0.95",))]),
+    ],
+)
 def test_a_clock_that_is_moved_and_moved_back_is_no_advice(last: str, left: list[tuple[str, Fixes]]) -> None:
     """It only looked wrong beside a laser whose ranges were."""
     moved = Advice(Finding("camera", "lag", "late"), (f"camera.time_offset={last}",))

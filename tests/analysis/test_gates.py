@@ -32,11 +32,16 @@ REPORT: dict[str, Any] = {
     "truth": {"topic": "/gt"},
     "configurations": {
         "odometry": {"position_rmse_m": 0.5, "position_max_m": 0.9, "heading_rmse_deg": None, "sensors": {}},
-        "all": {"position_rmse_m": 0.02, "position_max_m": 0.05, "anees": 1.1, "align": "none",
-                "sensors": {"lrf": {"accepted": 10, "nis": 1.5}}},
+        "all": {
+            "position_rmse_m": 0.02,
+            "position_max_m": 0.05,
+            "anees": 1.1,
+            "align": "none",
+            "sensors": {"lrf": {"accepted": 10, "nis": 1.5}},
+        },
         "lrf@2.5Hz": {"position_rmse_m": 0.03, "sensors": {}},
     },
-}  # fmt: skip
+}
 
 WITH_VERSION = '{"locfuse": "0.2.0", "schema_version": 1, %s}'
 
@@ -61,10 +66,14 @@ def test_gates_reach_into_sensors_and_names_with_dots() -> None:
 
 @pytest.mark.parametrize(
     ("gate", "why"),
-    [("camera.position_rmse_m > 1", "no such configuration"), ("all.positon_rmse_m > 1", "no such figure"),
-     ("odometry.heading_rmse_deg > 1", "does not exist"), ("all.align > 1", "does not exist"),
-     ("all.sensors.camera.nis > 1", "no such figure")],
-)  # fmt: skip
+    [
+        ("camera.position_rmse_m > 1", "no such configuration"),
+        ("all.positon_rmse_m > 1", "no such figure"),
+        ("odometry.heading_rmse_deg > 1", "does not exist"),
+        ("all.align > 1", "does not exist"),
+        ("all.sensors.camera.nis > 1", "no such figure"),
+    ],
+)
 def test_a_figure_that_does_not_exist_fails(gate: str, why: str) -> None:
     (line,) = lines(gate)
     assert why in line
@@ -81,10 +90,18 @@ def test_a_gate_that_is_none_is_a_usage_error(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("text", "share", "metres", "degrees"),
-    [("5%", 0.05, 0, 0), ("0.05", 0.05, 0, 0), ("0", 0, 0, 0), (" 12.5 % ", 0.125, 0, 0), ("500%", 5, 0, 0),
-     ("5%,1mm", 0.05, 0.001, 0.0), ("2cm, 1 %", 0.01, 0.02, 0.0), ("0.1deg,0.5m", 0.0, 0.5, 0.1),
-     ("1°", 0, 0, 1)],
-)  # fmt: skip
+    [
+        ("5%", 0.05, 0, 0),
+        ("0.05", 0.05, 0, 0),
+        ("0", 0, 0, 0),
+        (" 12.5 % ", 0.125, 0, 0),
+        ("500%", 5, 0, 0),
+        ("5%,1mm", 0.05, 0.001, 0.0),
+        ("2cm, 1 %", 0.01, 0.02, 0.0),
+        ("0.1deg,0.5m", 0.0, 0.5, 0.1),
+        ("1°", 0, 0, 1),
+    ],
+)
 def test_a_tolerance_is_a_share_maybe_with_a_floor(text: str, share: float, metres: float, degrees: float) -> None:
     found = parse_tolerance(text)
     assert (found.share, found.metres, found.degrees) == pytest.approx((share, metres, degrees))
@@ -146,12 +163,20 @@ def test_a_baseline_with_nothing_in_common_fails(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "[]", "{}", "\xff", "[" * 200_000, WITH_VERSION % '"configurations": 3',
-     WITH_VERSION % '"configurations": {"all": 1}', WITH_VERSION % '"configurations": {"all": {}}, "input": []',
-     WITH_VERSION % '"configurations": {"all": {"reference": "x"}}',
-     WITH_VERSION % '"configurations": {"all": {"reference": {"sensors": [{}]}, "position_rmse_m": 1}}',
-     WITH_VERSION % f'"configurations": {{"all": {{"position_rmse_m": 1{"0" * 400}}}}}'],
-)  # fmt: skip
+    [
+        "",
+        "[]",
+        "{}",
+        "\xff",
+        "[" * 200_000,
+        WITH_VERSION % '"configurations": 3',
+        WITH_VERSION % '"configurations": {"all": 1}',
+        WITH_VERSION % '"configurations": {"all": {}}, "input": []',
+        WITH_VERSION % '"configurations": {"all": {"reference": "x"}}',
+        WITH_VERSION % '"configurations": {"all": {"reference": {"sensors": [{}]}, "position_rmse_m": 1}}',
+        WITH_VERSION % f'"configurations": {{"all": {{"position_rmse_m": 1{"0" * 400}}}}}',
+    ],
+)
 def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> None:
     path = tmp_path / "old.json"
     path.write_text(text, encoding="latin-1")
@@ -235,9 +260,13 @@ def test_a_baseline_of_another_version_is_refused_in_one_line_with_the_fix(tmp_p
 
 
 SETS: dict[str, tuple[str, ...]] = {
-    "odometry": (), "compass": ("compass",), "camera": ("camera",), "lrf": ("lrf",),
-    "compass+camera": ("compass", "camera"), "all": ("compass", "camera", "lrf")
-}  # fmt: skip
+    "odometry": (),
+    "compass": ("compass",),
+    "camera": ("camera",),
+    "lrf": ("lrf",),
+    "compass+camera": ("compass", "camera"),
+    "all": ("compass", "camera", "lrf"),
+}
 ERRORS = {"odometry": 0.5, "compass": 0.3, "camera": 0.064, "lrf": 0.004, "compass+camera": 0.12, "lrf@2Hz": 0.008}
 
 

@@ -144,11 +144,13 @@ CUT, RIM = Lens(height=330, y_c=150.0, outer=232.0), Lens(outer=150.0)
 @both_chains
 @pytest.mark.parametrize(
     ("lens", "pole", "gain", "quality", "most_deg"),
-    [(RIM, Pole(63.0, distance=1.2, top=2.0), 1.0, 80, 0.2),  # cut by the mirror's rim
-     (CUT, NEAR, 1.0, 80, 0.3),  # cut slantwise by the picture's border
-     *((LENS, Pole(-100.0), gain, 80, 0.15) for gain in (0.35, 0.6, 1.3, 1.7)),  # dim and bright light
-     *((LENS, Pole(12.0, distance=4.0), 1.0, quality, 0.25) for quality in (20, 50, 95))],
-)  # fmt: skip
+    [
+        (RIM, Pole(63.0, distance=1.2, top=2.0), 1.0, 80, 0.2),  # cut by the mirror's rim
+        (CUT, NEAR, 1.0, 80, 0.3),  # cut slantwise by the picture's border
+        *((LENS, Pole(-100.0), gain, 80, 0.15) for gain in (0.35, 0.6, 1.3, 1.7)),  # dim and bright light
+        *((LENS, Pole(12.0, distance=4.0), 1.0, quality, 0.25) for quality in (20, 50, 95)),
+    ],
+)
 def test_the_bearing_survives_edges_light_and_jpeg(
     chain: Chain, lens: Lens, pole: Pole, gain: float, quality: int, most_deg: float
 ) -> None:
@@ -364,12 +366,14 @@ def seen(data: bytes, detector: Detector) -> Detection:
 
 @pytest.mark.parametrize(
     ("sampling", "coarse"),
-    [(cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, True),
-     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422, True),
-     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_411, True),
-     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_440, False),  # half as high only: the columns are all there
-     (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444, False)],
-)  # fmt: skip
+    [
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, True),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422, True),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_411, True),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_440, False),  # half as high only: the columns are all there
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444, False),
+    ],
+)
 def test_coarse_colour_is_read_from_the_frame_header(sampling: int, coarse: bool) -> None:
     shot = picture(LENS, Pole(20.0))
     for progressive in (0, 1):

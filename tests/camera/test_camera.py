@@ -87,9 +87,13 @@ def test_every_picture_is_a_reading_with_one_row_per_candidate() -> None:
 @pytest.mark.parametrize("chain", ["fast", "paper"])
 @pytest.mark.parametrize(
     "changes",
-    [{"time_offset": 0.25}, {"clockwise": True, "zero_deg": 20.0}, {"sigma_deg": 0.9, "x": 0.3, "gate": 0.9},
-     {"bearing": "absolute"}],
-)  # fmt: skip
+    [
+        {"time_offset": 0.25},
+        {"clockwise": True, "zero_deg": 20.0},
+        {"sigma_deg": 0.9, "x": 0.3, "gate": 0.9},
+        {"bearing": "absolute"},
+    ],
+)
 def test_no_picture_is_looked_at_again_for_what_it_does_not_show(chain: Any, changes: dict[str, Any]) -> None:
     """A clock, a direction, a sigma, a mount: the same measurements to the bit as from the pictures."""
     stream = compressed(*map(coded, (picture(LENS), picture(LENS, Pole(30.0), Pole(-80.0, 2.0)))), b"no picture")
@@ -120,9 +124,12 @@ def test_a_png_a_raw_picture_and_a_swapped_jpeg_give_the_same_bearing(chain: Any
     streams = [
         compressed(coded(shot, ".png"), layout="png"),
         compressed(coded(shot, ".png"), layout="bgr8; png compressed bgr8"),
-        compressed(coded(rgb, ".png"), layout="rgb8; png compressed rgb8"), raw(shot, "bgr8"),
-        raw(rgb, "rgb8", pad=11), raw(np.dstack((shot, one)), "bgra8", pad=4), raw(np.dstack((rgb, one)), "rgba8")
-    ]  # fmt: skip
+        compressed(coded(rgb, ".png"), layout="rgb8; png compressed rgb8"),
+        raw(shot, "bgr8"),
+        raw(rgb, "rgb8", pad=11),
+        raw(np.dstack((shot, one)), "bgra8", pad=4),
+        raw(np.dstack((rgb, one)), "rgba8"),
+    ]
     found = [measured(stream, settings).z for stream in streams]
     for z in found:
         np.testing.assert_array_equal(z, found[0])
@@ -191,10 +198,18 @@ def test_without_a_landmark_the_error_names_the_key_and_the_command() -> None:
 
 @pytest.mark.parametrize(
     ("table", "word"),
-    [({"inner": 100.0, "outer": 80.0}, "outer"), ({"inner": -1.0}, "inner"), ({"outer": 1e9}, "at most"),
-     ({"width": 3}, "width"), ({"width": 10**7}, "width"), ({"sigma_deg": 0.0}, "sigma_deg"),
-     ({"landmark": [math.nan, 0.0]}, "finite"), ({"chain": "quick"}, "quick"), ({"centr": [1.0, 2.0]}, "centr")],
-)  # fmt: skip
+    [
+        ({"inner": 100.0, "outer": 80.0}, "outer"),
+        ({"inner": -1.0}, "inner"),
+        ({"outer": 1e9}, "at most"),
+        ({"width": 3}, "width"),
+        ({"width": 10**7}, "width"),
+        ({"sigma_deg": 0.0}, "sigma_deg"),
+        ({"landmark": [math.nan, 0.0]}, "finite"),
+        ({"chain": "quick"}, "quick"),
+        ({"centr": [1.0, 2.0]}, "centr"),
+    ],
+)
 def test_impossible_settings_are_refused_where_the_table_is_read(table: dict[str, Any], word: str) -> None:
     with pytest.raises(msgspec.ValidationError, match=word):
         msgspec.convert(table, CameraSettings)
@@ -235,13 +250,15 @@ def belief(x: float, y: float, theta: float, sigma_xy: float = 0.02, sigma_theta
 
 @pytest.mark.parametrize(
     "expected",
-    [{0.9: "unmatched", 0.01: "accepted"},  # the landmark, and a wrong red thing
-     {0.01: "accepted"},
-     {0.9: "gate"},  # a wrong red thing alone
-     {0.9: "gate", -1.2: "unmatched"},
-     {0.02: "ambiguous", -0.015: "ambiguous", 2.0: "unmatched"},  # two that fit: neither is used
-     {}],
-)  # fmt: skip
+    [
+        {0.9: "unmatched", 0.01: "accepted"},  # the landmark, and a wrong red thing
+        {0.01: "accepted"},
+        {0.9: "gate"},  # a wrong red thing alone
+        {0.9: "gate", -1.2: "unmatched"},
+        {0.02: "ambiguous", -0.015: "ambiguous", 2.0: "unmatched"},  # two that fit: neither is used
+        {},
+    ],
+)
 def test_the_gate_tells_the_landmark_from_wrong_red_things(expected: dict[float, str]) -> None:
     """Of one picture, seen from the origin; the landmark stands at (4, 0)."""
     model, bearings = Camera().model(CameraSettings(landmark=(4.0, 0.0))), tuple(expected)

@@ -348,21 +348,37 @@ def held(drive: Drive) -> Drive:
 Value = dict[str, float]
 Change = Callable[[Drive], Drive]
 TRUTHS: dict[str, tuple[Change, str, Value, dict[str, Any]]] = {  # change, code, fixes or none, within
-    "a marker off the axle": (lambda d: beside(d, 0.06, 0.03), "body point", {"truth.x": 0.06, "truth.y": 0.03},
-                              {"abs": 0.003}),
-    "by positions alone": (lambda d: with_truth(beside(d, 0.3, 0.0), theta=None), "body point",
-                           {"truth.x": 0.3, "truth.y": 0.0}, {"abs": 0.05}),
+    "a marker off the axle": (
+        lambda d: beside(d, 0.06, 0.03),
+        "body point",
+        {"truth.x": 0.06, "truth.y": 0.03},
+        {"abs": 0.003},
+    ),
+    "by positions alone": (
+        lambda d: with_truth(beside(d, 0.3, 0.0), theta=None),
+        "body point",
+        {"truth.x": 0.3, "truth.y": 0.0},
+        {"abs": 0.05},
+    ),
     "positions of the axle": (lambda d: with_truth(d, theta=None), "body point", {}, {}),
     # by the path's shape 0.15 m is within the wheels' slip
-    "a start elsewhere": (lambda d: with_truth(d, theta=None, xy=truth_of(d).xy + np.array([0.15, 0.0])), "start",
-                          {"start.x": START[0] + 0.15, "start.y": START[1]}, {"abs": 0.01}),
-    "noise": (lambda d: noisy(d, 0.008, 0.5), "noise", {"truth.sigma": 0.008, "truth.sigma_theta_deg": 0.5},
-              {"rel": 0.2}),
+    "a start elsewhere": (
+        lambda d: with_truth(d, theta=None, xy=truth_of(d).xy + np.array([0.15, 0.0])),
+        "start",
+        {"start.x": START[0] + 0.15, "start.y": START[1]},
+        {"abs": 0.01},
+    ),
+    "noise": (
+        lambda d: noisy(d, 0.008, 0.5),
+        "noise",
+        {"truth.sigma": 0.008, "truth.sigma_theta_deg": 0.5},
+        {"rel": 0.2},
+    ),
     "noise like jumps": (lambda d: noisy(d, 0.25, 0.0), "noise", {"truth.sigma": 0.25}, {"rel": 0.15}),
     "noise is no jump": (lambda d: noisy(d, 0.25, 0.0), JUMP, {}, {}),
     "a reading that jumps and returns": (lambda d: aside(d, 200), STEP, {}, {}),
     "poses that are held": (held, STEP, {}, {}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", TRUTHS)
@@ -568,8 +584,11 @@ def test_an_error_survives_the_way_between_processes() -> None:
     error = UsageError("no such path:", fixes=("lrf.map=grow",), hint="see --help")
     again = pickle.loads(pickle.dumps(error))
     assert (type(again), str(again), again.hint, again.fixes) == (
-        UsageError, "no such path: see --help", "see --help", ("lrf.map=grow",)
-    )  # fmt: skip
+        UsageError,
+        "no such path: see --help",
+        "see --help",
+        ("lrf.map=grow",),
+    )
 
 
 # --- a laser that is bumped while driving, by walls whose distances are those of a turned laser

@@ -66,13 +66,15 @@ def test_a_map_that_is_right_is_not_mentioned(sensor: str) -> None:
 @pytest.mark.parametrize("sensor", ["ranges", "landmarks"])
 @pytest.mark.parametrize(
     ("told", "words"),
-    [(lambda a: a[[1, 0, 2, 3]], "ids are exchanged in the map, by the truth: 0 and 1"),
-     (lambda a: a[[1, 2, 0, 3]], "0 stands where the map has 2, 1 stands where the map has 0"),
-     (turned, "its map is turned by -30°"),
-     (lambda a: a * [1.0, -1.0], "its map is mirrored (an axis has the other sign, or x and y are exchanged)"),
-     (lambda a: a + np.outer([0.0, 1.0, 0.0, 0.0], [0.0, 0.6]), "id 1 stands at (7.0"),
-     (lambda a: a * [[1.0, 1.0], [1.0, 1.3], [1.2, 1.0], [1.4, 1.6]], "by the truth id 2")],
-)  # fmt: skip
+    [
+        (lambda a: a[[1, 0, 2, 3]], "ids are exchanged in the map, by the truth: 0 and 1"),
+        (lambda a: a[[1, 2, 0, 3]], "0 stands where the map has 2, 1 stands where the map has 0"),
+        (turned, "its map is turned by -30°"),
+        (lambda a: a * [1.0, -1.0], "its map is mirrored (an axis has the other sign, or x and y are exchanged)"),
+        (lambda a: a + np.outer([0.0, 1.0, 0.0, 0.0], [0.0, 0.6]), "id 1 stands at (7.0"),
+        (lambda a: a * [[1.0, 1.0], [1.0, 1.3], [1.2, 1.0], [1.4, 1.6]], "by the truth id 2"),
+    ],
+)
 def test_what_is_wrong_with_a_map_is_named(sensor: str, told: Places, words: str) -> None:
     (wrong,) = found(sensor, told)
     assert wrong.severe

@@ -25,9 +25,14 @@ SETTINGS: dict[str, Any] = {"gps": GpsSettings, "pose": PoseSettings, "twist": T
 
 
 def seen(
-    sensor: str, body: tuple[float, float, float] = (0.0, 0.0, 0.0), late: float = 0.0, times: Any = 1.0,
-    sigma: float = 0.01, frame: Array = FRAME, **settings: Any
-) -> tuple[Drive, Robot]:  # fmt: skip
+    sensor: str,
+    body: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    late: float = 0.0,
+    times: Any = 1.0,
+    sigma: float = 0.01,
+    frame: Array = FRAME,
+    **settings: Any,
+) -> tuple[Drive, Robot]:
     """A drive with readings of a sensor on `body`, each number multiplied by `times`; its robot."""
     t, pose = path(1.0)
     at = np.arange(2.0, t[-1] - 2.0, 0.2)
@@ -103,13 +108,15 @@ def test_the_body_of_poses_is_found_and_their_frame() -> None:
 
 @pytest.mark.parametrize(
     ("times", "words"),
-    [([-1.0, 1.0], "its forward speeds are -1 times those of the {}: they have the other sign"),
-     ([1.0, -1.0], "its turning rates are -1 times those of the {}: they have the other sign"),
-     ([1000.0, 1.0], "its forward speeds are 1e+03 times those of the {}: they look like mm/s"),
-     ([3.6, 1.0], "its forward speeds are 3.6 times those of the {}: they look like km/h"),
-     ([1.0, math.degrees(1.0)], "its turning rates are 57.3 times those of the {}: they look like degrees/s"),
-     ([1.2, 1.0], "its forward speeds are 1.2 times those of the {}")],
-)  # fmt: skip
+    [
+        ([-1.0, 1.0], "its forward speeds are -1 times those of the {}: they have the other sign"),
+        ([1.0, -1.0], "its turning rates are -1 times those of the {}: they have the other sign"),
+        ([1000.0, 1.0], "its forward speeds are 1e+03 times those of the {}: they look like mm/s"),
+        ([3.6, 1.0], "its forward speeds are 3.6 times those of the {}: they look like km/h"),
+        ([1.0, math.degrees(1.0)], "its turning rates are 57.3 times those of the {}: they look like degrees/s"),
+        ([1.2, 1.0], "its forward speeds are 1.2 times those of the {}"),
+    ],
+)
 def test_speeds_of_another_unit_sign_or_scale_are_named(times: list[float], words: str) -> None:
     one, settings = seen("twist", times=times)
     (by_truth,) = of_positions(one, settings)

@@ -308,11 +308,15 @@ def test_a_track_far_outside_its_prior_is_a_slip_unless_the_truth_can_judge_it()
 
 @pytest.mark.parametrize(
     ("state", "value", "settings", "beyond"),
-    [("lrf_yaw", math.radians(1.4), {}, False), ("lrf_yaw", math.radians(1.6), {}, True),
-     ("lrf_yaw", math.radians(1.6), {"sigma_yaw_deg": 2.0}, False),
-     ("lrf_yaw", math.radians(31.6), {"yaw_deg": 30.0}, True), ("lrf_x", 0.02, {}, False),
-     ("lrf_x", 0.04, {}, True)],
-)  # fmt: skip
+    [
+        ("lrf_yaw", math.radians(1.4), {}, False),
+        ("lrf_yaw", math.radians(1.6), {}, True),
+        ("lrf_yaw", math.radians(1.6), {"sigma_yaw_deg": 2.0}, False),
+        ("lrf_yaw", math.radians(31.6), {"yaw_deg": 30.0}, True),
+        ("lrf_x", 0.02, {}, False),
+        ("lrf_x", 0.04, {}, True),
+    ],
+)
 def test_a_mount_is_looked_for_again_where_it_is_found_beyond_three_of_its_prior_sigmas(
     state: str, value: float, settings: dict[str, float], beyond: bool
 ) -> None:

@@ -123,36 +123,52 @@ BOUNDS = (0.5, 2.0)
 
 @pytest.mark.parametrize(
     ("before", "after", "worse", "better"),
-    [(Marks(0.100), Marks(0.089), False, True),
-     (Marks(0.100), Marks(0.095), False, False),  # less than a tenth
-     (Marks(0.100), Marks(0.103), True, False),
-     (Marks(0.0010), Marks(0.00119), False, False),  # 0.2 mm are nothing
-     (Marks(0.1, 40.0, BOUNDS), Marks(0.1, 1.0, BOUNDS), False, True),
-     (Marks(0.1, 0.8, BOUNDS), Marks(0.1, 1.0, BOUNDS), False, False),  # chance, both
-     (Marks(0.1, 1.0, BOUNDS), Marks(0.1, 3.0, BOUNDS), True, False),
-     (Marks(0.1, 5.4, BOUNDS), Marks(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
-     (Marks(0.295, 220.0, BOUNDS), Marks(0.328, 176.0, BOUNDS), True, False),  # nor is a little of it a gain
-     (Marks(0.3, 220.0, BOUNDS), Marks(0.303, 100.0, BOUNDS), False, True),
-     (Marks(0.1, 1.0, BOUNDS), Marks(0.05, 3.0, BOUNDS), False, True),  # half the error
-     (Marks(0.1, 1.0, BOUNDS), Marks(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
-     (Marks(0.26, heading=1.8), Marks(0.21, heading=2.9), True, True),  # a heading is no less than a place
-     (Marks(0.26, heading=1.8), Marks(0.12, heading=2.9), False, True),  # less than half the error
-     (Marks(0.69, heading=2.9), Marks(0.68, heading=1.9), False, True),
-     (Marks(0.1), Marks(0.01, lost=0.2), True, True),  # lost is worse, whatever else
-     (Marks(0.1), Marks(), True, False),
-     (Marks(prediction=1.0), Marks(prediction=1.2), False, True),
-     (Marks(prediction=1.0), Marks(prediction=0.9), True, False)],
-)  # fmt: skip
+    [
+        (Marks(0.100), Marks(0.089), False, True),
+        (Marks(0.100), Marks(0.095), False, False),  # less than a tenth
+        (Marks(0.100), Marks(0.103), True, False),
+        (Marks(0.0010), Marks(0.00119), False, False),  # 0.2 mm are nothing
+        (Marks(0.1, 40.0, BOUNDS), Marks(0.1, 1.0, BOUNDS), False, True),
+        (Marks(0.1, 0.8, BOUNDS), Marks(0.1, 1.0, BOUNDS), False, False),  # chance, both
+        (Marks(0.1, 1.0, BOUNDS), Marks(0.1, 3.0, BOUNDS), True, False),
+        (Marks(0.1, 5.4, BOUNDS), Marks(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
+        (Marks(0.295, 220.0, BOUNDS), Marks(0.328, 176.0, BOUNDS), True, False),  # nor is a little of it a gain
+        (Marks(0.3, 220.0, BOUNDS), Marks(0.303, 100.0, BOUNDS), False, True),
+        (Marks(0.1, 1.0, BOUNDS), Marks(0.05, 3.0, BOUNDS), False, True),  # half the error
+        (Marks(0.1, 1.0, BOUNDS), Marks(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
+        (Marks(0.26, heading=1.8), Marks(0.21, heading=2.9), True, True),  # a heading is no less than a place
+        (Marks(0.26, heading=1.8), Marks(0.12, heading=2.9), False, True),  # less than half the error
+        (Marks(0.69, heading=2.9), Marks(0.68, heading=1.9), False, True),
+        (Marks(0.1), Marks(0.01, lost=0.2), True, True),  # lost is worse, whatever else
+        (Marks(0.1), Marks(), True, False),
+        (Marks(prediction=1.0), Marks(prediction=1.2), False, True),
+        (Marks(prediction=1.0), Marks(prediction=0.9), True, False),
+    ],
+)
 def test_what_counts_as_worse_and_as_better(before: Marks, after: Marks, worse: bool, better: bool) -> None:
     assert (worsens(before, after), improves(before, after)) == (worse, better)
 
 
-RADIUS = Candidate(Finding("wheels", "wheel scale", "6 % long", severe=True), (("wheels.radius=0.05",),),
-                   ("camera", "odometry"), ("odometry",))  # fmt: skip
-TRACK = Candidate(Finding("wheels", "track", "4 % off"), (("wheels.track=0.624",),),
-                  ("camera", "all", "odometry"), ("camera", "odometry"), ("camera",), offer=True)  # fmt: skip
-RATIO = Candidate(Finding("wheels", "ratio", "one is larger", severe=True), (("wheels.ratio=0.9",),),
-                  ("odometry", "gyro"), ("odometry",))  # fmt: skip
+RADIUS = Candidate(
+    Finding("wheels", "wheel scale", "6 % long", severe=True),
+    (("wheels.radius=0.05",),),
+    ("camera", "odometry"),
+    ("odometry",),
+)
+TRACK = Candidate(
+    Finding("wheels", "track", "4 % off"),
+    (("wheels.track=0.624",),),
+    ("camera", "all", "odometry"),
+    ("camera", "odometry"),
+    ("camera",),
+    offer=True,
+)
+RATIO = Candidate(
+    Finding("wheels", "ratio", "one is larger", severe=True),
+    (("wheels.ratio=0.9",),),
+    ("odometry", "gyro"),
+    ("odometry",),
+)
 MOUNT = replace(LATE, minor=("lrf",), measured=True)
 Pair = tuple[Marks, Marks]  # before and after
 STILL = Marks(0.0035), Marks(0.0035)
@@ -199,13 +215,31 @@ def nats(before: float, after: float) -> Pair:
         (TRACK, {"odometry": error(0.319, 0.166), "camera": error(0.014, 0.019), "all": STILL}, True),
         (TRACK, {"odometry": error(0.319, 0.166), "camera": error(0.014, 0.034), "all": STILL}, False),
         # odometry's two errors cancel on this drive: its covariance says that it is chance, or not
-        (RADIUS, {"camera": (Marks(0.540, 27.0, BOUNDS), Marks(0.043, 0.95, BOUNDS)),
-                  "odometry": (Marks(0.277, 7.8, BOUNDS), Marks(0.391, 0.9, BOUNDS))}, True),
-        (RADIUS, {"camera": (Marks(0.540, 27.0, BOUNDS), Marks(0.043, 0.95, BOUNDS)),
-                  "odometry": (Marks(0.277, 1.0, BOUNDS), Marks(0.391, 0.9, BOUNDS))}, False),
+        (
+            RADIUS,
+            {
+                "camera": (Marks(0.540, 27.0, BOUNDS), Marks(0.043, 0.95, BOUNDS)),
+                "odometry": (Marks(0.277, 7.8, BOUNDS), Marks(0.391, 0.9, BOUNDS)),
+            },
+            True,
+        ),
+        (
+            RADIUS,
+            {
+                "camera": (Marks(0.540, 27.0, BOUNDS), Marks(0.043, 0.95, BOUNDS)),
+                "odometry": (Marks(0.277, 1.0, BOUNDS), Marks(0.391, 0.9, BOUNDS)),
+            },
+            False,
+        ),
         # a compass 30 degrees off: 1.3 m -> 25 mm; of `all` the error shrinks below what was claimed anyway
-        (BIASED, {"compass": (Marks(1.35, 380.0, BOUNDS), Marks(0.025, 0.7, BOUNDS)),
-                  "all": (Marks(0.00312, 0.48, BOUNDS), Marks(0.00296, 0.38, BOUNDS))}, True),
+        (
+            BIASED,
+            {
+                "compass": (Marks(1.35, 380.0, BOUNDS), Marks(0.025, 0.7, BOUNDS)),
+                "all": (Marks(0.00312, 0.48, BOUNDS), Marks(0.00296, 0.38, BOUNDS)),
+            },
+            True,
+        ),
         # a sensor's own error that falls to less than half may cost the rest what chance does
         (LATE, {"lrf": error(0.1, 0.04), "all": error(0.005, 0.0055)}, True),
         (replace(LATE, offer=True), {"lrf": error(0.1, 0.04), "all": error(0.005, 0.0055)}, False),
@@ -220,7 +254,7 @@ def nats(before: float, after: float) -> Pair:
         (BIASED, {"all": error(0.006, 0.004), "compass": error(0.03, 0.033)}, False),
         (replace(BIASED, minor=("compass",)), {"all": error(0.006, 0.004), "compass": error(0.03, 0.039)}, False),
     ],
-)  # fmt: skip
+)
 def test_a_fix_must_be_worth_what_it_costs(candidate: Candidate, scores: dict[str, Pair], taken: bool) -> None:
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
         return {name: scores[name][bool(fixes)] for name in names}

@@ -236,9 +236,15 @@ def test_both_counters_that_stand_while_the_truth_moves_are_named() -> None:
 
 @pytest.mark.parametrize(
     ("factor", "repairs", "ticks"),
-    [(57.3, (), 360), (57.3, (SPEEDS_ALONE,), 360), (9.549, (SPEEDS_ALONE,), 60), (9.549, (), None),
-     (10.0, (SPEEDS_ALONE,), None), (1.0, (SPEEDS_ALONE,), None)],
-)  # fmt: skip
+    [
+        (57.3, (), 360),
+        (57.3, (SPEEDS_ALONE,), 360),
+        (9.549, (SPEEDS_ALONE,), 60),
+        (9.549, (), None),
+        (10.0, (SPEEDS_ALONE,), None),
+        (1.0, (SPEEDS_ALONE,), None),
+    ],
+)
 def test_wheels_in_another_unit_are_named_by_truth_and_compass(
     factor: float, repairs: tuple[str, ...], ticks: int | None
 ) -> None:
@@ -402,10 +408,14 @@ LEFT, RIGHT = (4.0, 0.0, 0.8), (4.0, 0.0, -0.8)
 
 @pytest.mark.parametrize(
     ("parts", "manoeuvres"),
-    [((STAND, AHEAD, LEFT, RIGHT), ()), ((AHEAD, LEFT, RIGHT), ("Stand for 5 s",)),
-     ((STAND, AHEAD, LEFT), ("once each way",)), ((STAND, ARC, RIGHT), ("Drive 3 m straight",)),
-     ((AHEAD,), ("once each way", "Stand for 5 s"))],
-)  # fmt: skip
+    [
+        ((STAND, AHEAD, LEFT, RIGHT), ()),
+        ((AHEAD, LEFT, RIGHT), ("Stand for 5 s",)),
+        ((STAND, AHEAD, LEFT), ("once each way",)),
+        ((STAND, ARC, RIGHT), ("Drive 3 m straight",)),
+        ((AHEAD,), ("once each way", "Stand for 5 s")),
+    ],
+)
 def test_the_manoeuvre_that_is_missing_is_named(parts: Any, manoeuvres: tuple[str, ...]) -> None:
     found = unseen(drive_of(*parts))
     assert len(found) == len(manoeuvres)

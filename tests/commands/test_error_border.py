@@ -100,21 +100,6 @@ def test_no_words_show_the_help_and_name_every_command() -> None:
         assert f"\n  {command} " in done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_work_with_its_line(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
-    def interrupted(**_: object) -> int:
-        os.kill(os.getpid(), number)
-        for _step in range(1000):  # its handler runs between two steps
-            pass
-        raise AssertionError("the signal was lost")
-
-    monkeypatch.setattr(border.locfuse, "main", interrupted)
-    done = locfuse("info", "x")
-    word = "interrupted" if number == signal.SIGINT else "terminated"
-    assert done.exit_code == 128 + number
-    assert done.stderr == f"locfuse: {word}; nothing was left half-written\n"
-
-
 def test_on_a_terminal_the_line_begins_behind_that_of_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(**_: object) -> int:
         monkeypatch.setattr(sys.stderr, "isatty", lambda: True)

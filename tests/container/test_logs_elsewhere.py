@@ -111,17 +111,6 @@ def test_a_long_range_comes_in_several_requests(shelf: Shelf, monkeypatch: pytes
     assert max(stop - start for _, start, stop in shelf.asked) == 2 * objects.BLOCK_BYTES
 
 
-def test_of_packed_chunks_those_that_hold_something_wanted_come(logs: dict[str, Path], shelf: Shelf) -> None:
-    data = logs["zstd"].read_bytes()
-    shelf.asked.clear()
-    log = open_log([Url(shelf.put("packed.mcap", data))])
-    expected = columns(open_log([logs["zstd"]]))
-    np.testing.assert_array_equal(columns(log)["/joint_states"]["position"], expected["/joint_states"]["position"])
-    assert not log.losses
-    assert log.transfer is not None
-    assert log.transfer[0] <= len(data) + 100_000  # most of it is wanted: copied, once
-
-
 def test_topics_are_listed_by_one_or_two_requests(logs: dict[str, Path], shelf: Shelf) -> None:
     url = shelf.put("listed.mcap", logs["none"].read_bytes())
     shelf.asked.clear()

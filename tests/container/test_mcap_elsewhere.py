@@ -250,27 +250,18 @@ def test_a_damaged_index_loses_no_message(tmp_path: Path, shelf: Shelf) -> None:
     assert not losses
 
 
-def span(first: int, last: int) -> Part:
-    return Part(0, 0, 0, span=(first, last))
-
-
 @pytest.mark.parametrize(
     ("spans", "expected"),
     [
-        ([(0, 9), (10, 19), (20, 29)], [0, 1, 2]),
         ([(20, 29), (0, 9), (10, 19)], [1, 2, 0]),
         ([(10, 19), (0, 10)], [0, 1]),  # they touch: none ends before the other begins
-        ([(10, 19), (0, 9)], [1, 0]),
-        ([(0, 9), (30, 39), (20, 29)], [0, 2, 1]),
         ([(0, 30), (5, 9), (6, 8)], [0, 1, 2]),  # they overlap
-        ([(0, 0), (5, 30), (6, 9)], [0, 1, 2]),
-        ([(40, 49), (20, 29), (30, 45)], [1, 2, 0]),
+        ([(10, 19), (5, 12), (6, 8)], [2, 1, 0]),
         ([(40, 49), (0, 30), (10, 20)], [2, 1, 0]),  # by their ends
     ],
 )
 def test_parts_are_sorted_only_where_one_ends_before_an_earlier_one_begins(
     spans: list[tuple[int, int]], expected: list[int]
 ) -> None:
-    parts = [span(*one) for one in spans]
-    sort_by_time(parts)
+    sort_by_time(parts := [Part(0, 0, 0, span=one) for one in spans])
     assert [spans.index(part.span) for part in parts] == expected

@@ -155,40 +155,6 @@ def test_only_a_summary_that_confirms_the_indexes_lets_chunks_be_skipped(tmp_pat
     assert [part.counts for part in walked(tmp_path, bytes(other))[0].parts] == [None, *[{1: 3, 2: 1}] * 2]
 
 
-@pytest.mark.parametrize("rest", [0, 1, 8, 9, 100])
-def test_a_file_that_ends_anywhere_is_cut_off(tmp_path: Path, rest: int) -> None:
-    """Without a record at its end, within the front of one, and within its content."""
-    data = FRONT + A.all
-    found, lost = walked(tmp_path, data + B.record[:rest])
-    assert len(found.parts) == (2 if rest == 100 else 1)
-    reasons = {0: [], 1: 1, 8: 8, 9: 9, 100: []}[rest]
-    cut = ("the file ends without an end mark: the recording was cut off", 0, 0, None)
-    inside = [one for one in lost if one != cut]
-    assert cut in lost
-    assert [n_bytes for _, _, n_bytes, _ in inside] == ([reasons] if isinstance(reasons, int) else [])
-
-
-def test_a_message_is_read_from_a_chunk_that_is_cut_off(tmp_path: Path) -> None:
-    cut = B.record[: 9 + 40 + 2 * 71 + 70]
-    found, reasons = times(tmp_path, FRONT + A.all + cut)
-    assert found == [*of(A), 200, 201]
-    assert "the file is cut off inside a chunk" in reasons
-
-
-@pytest.mark.parametrize("summary", [True, False])
-def test_bytes_that_are_no_record_cost_what_lies_up_to_the_next_chunk(tmp_path: Path, summary: bool) -> None:
-    data = FRONT + A.all + GARBAGE + B.all + C.all + END
-    content = summarised(data, [A, B, C]) if summary else data + NO_SUMMARY
-    found, lost = walked(tmp_path, content)
-    assert lost == [("bytes that are no record", data.index(GARBAGE), len(GARBAGE), None)]
-    assert [part.offset for part in found.parts] == [data.index(one.record) for one in (A, B, C)]
-    assert times(tmp_path, content)[0] == of(A, B, C)
-    last = walked(
-        tmp_path, summarised(FRONT + A.all + GARBAGE + END, [A]) if summary else FRONT + A.all + GARBAGE
-    )[1]
-    assert last[0][1:3] == (len(FRONT + A.all), len(GARBAGE) + len(END) * summary)
-
-
 NO_RECORD = "bytes that are no record"
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
 HERE = len(FRONT + A.all)
@@ -215,10 +181,24 @@ BEHIND = C.all + END + NO_SUMMARY
 TWO = FRONT + A.all + B.all + END
 AFTER = TWO.index(A.indexes[1])
 INDEX_48, INDEX_40 = (struct.pack("<HI", 1, n) + bytes(size) for n, size in ((47, 48), (40, 40)))
+DAMAGED = FRONT + A.all + GARBAGE + B.all + C.all + END
 LAID: dict[str, tuple[bytes, list[Loss], list[int]]] = {
+    "bytes that are no record": (DAMAGED + NO_SUMMARY, [(NO_RECORD, HERE, len(GARBAGE), None)], of(A, B, C)),
+    "bytes that are no record beside a summary": (
+        summarised(DAMAGED, [A, B, C]),
+        [(NO_RECORD, HERE, len(GARBAGE), None)],
+        of(A, B, C),
+    ),
+    "bytes that are no record before the end": (
+        summarised(FRONT + A.all + GARBAGE + END, [A]),
+        [(NO_RECORD, HERE, len(GARBAGE + END), None)],
+        of(A),
+    ),
     **{
         f"record {code} is none of the data": (
-            amid(record(code, bytes(20))), [(NO_RECORD, HERE, 29, None)], of(A, B)
+            amid(record(code, bytes(20))),
+            [(NO_RECORD, HERE, 29, None)],
+            of(A, B),
         )
         for code in (0, FOOTER, 16, 127)
     },
@@ -227,10 +207,14 @@ LAID: dict[str, tuple[bytes, list[Loss], list[int]]] = {
         for code in (HEADER, METADATA, SUMMARY_OFFSET, 128, 255)
     },
     "an end mark amid chunks is a flipped bit": (
-        summarised(FRONT + A.all + END + B.all + END, [A, B]), [(NO_RECORD, HERE, len(END), None)], of(A, B)
+        summarised(FRONT + A.all + END + B.all + END, [A, B]),
+        [(NO_RECORD, HERE, len(END), None)],
+        of(A, B),
     ),
     "an end mark has four bytes": (
-        amid(record(DATA_END, bytes(5))), [(NO_RECORD, HERE, len(END) + 1, None)], of(A, B)
+        amid(record(DATA_END, bytes(5))),
+        [(NO_RECORD, HERE, len(END) + 1, None)],
+        of(A, B),
     ),
     "a footer before the last magic is the end": (FRONT + A.all + NO_SUMMARY, [], of(A)),
     "a record is longer than the file": (
@@ -245,7 +229,9 @@ LAID: dict[str, tuple[bytes, list[Loss], list[int]]] = {
         of(A, C),
     ),
     "a chunk is longer than the file, and none follows": (
-        FRONT + A.all + longer(10_000) + END + NO_SUMMARY, [(CUT_OFF, 0, 0, None)], of(A, B)
+        FRONT + A.all + longer(10_000) + END + NO_SUMMARY,
+        [(CUT_OFF, 0, 0, None)],
+        of(A, B),
     ),
     **{
         f"byte {at} of a chunk contradicts the others": (
@@ -270,9 +256,7 @@ LAID: dict[str, tuple[bytes, list[Loss], list[int]]] = {
     ),
     "behind a chunk stands no index": (
         changed(summarised(TWO, [A, B]), AFTER, METADATA - MESSAGE_INDEX),
-        [
-            ("no message index where the chunk index promises one", AFTER, len(A.indexes[1]), None)
-        ],
+        [("no message index where the chunk index promises one", AFTER, len(A.indexes[1]), None)],
         of(A, B),
     ),
     **{
@@ -293,7 +277,7 @@ LAID: dict[str, tuple[bytes, list[Loss], list[int]]] = {
         [(NO_RECORD, HERE, len(GARBAGE), None), (CUT_OFF, 0, 0, None)],
         of(A),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("what", LAID)
@@ -354,32 +338,22 @@ def test_a_file_that_begins_otherwise_is_refused_unless_its_summary_is_whole(tmp
         walked(tmp_path, bytes(content[:-1]))
 
 
-def test_messages_outside_chunks_are_taken_in_runs_with_their_times(tmp_path: Path) -> None:
-    loose = message(1, 50, b"a") + message(2, 40, b"bc") + message(1, 60, b"")
-    found, lost = walked(tmp_path, FRONT + loose + A.all + message(2, 210, b"z") + END + NO_SUMMARY)
-    assert not lost
-    assert [
-        (part.offset, part.size, part.counts, part.span) for part in found.parts if not isinstance(part, ChunkRef)
-    ] == [(len(FRONT), len(loose), {1: 2, 2: 1}, (40, 60)), (len(FRONT + loose + A.all), 32, {2: 1}, (210, 210))]
-    assert sorted(times(tmp_path, FRONT + loose + A.all + END + NO_SUMMARY)[0]) == [40, 50, 60, *of(A)]
-
-
 @pytest.mark.parametrize("extra", [0, 1])
 def test_an_uncompressed_chunk_up_to_the_cap_is_one_part_and_a_larger_one_is_walked_into(
     tmp_path: Path, extra: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.container.mcap_survey.LARGE_CHUNK_BYTES", 4 * 71 - extra)
     content = FRONT + A.all + END + NO_SUMMARY
+    monkeypatch.setattr("locfuse.formats.container.mcap_survey.LARGE_CHUNK_BYTES", 4 * 71 - extra)
     found, lost = walked(tmp_path, content)
-    assert isinstance(found.parts[0], ChunkRef) is (extra == 0)
-    assert not lost
+    assert (isinstance(found.parts[0], ChunkRef), lost) == (extra == 0, [])
     assert times(tmp_path, content)[0] == of(A)
     if extra:
-        damaged = bytearray(content)
-        damaged[len(FRONT) + 9 + 40 + 50] ^= 1
-        found, lost = walked(tmp_path, bytes(damaged))
-        assert lost == [("a chunk fails its checksum", len(FRONT) + 49, 4 * 71, None)]
-        assert not found.parts
+        found, lost = walked(tmp_path, changed(content, len(FRONT) + 9 + 40 + 50, 1))
+        assert (found.parts, lost) == ([], [("a chunk fails its checksum", len(FRONT) + 49, 4 * 71, None)])
+    monkeypatch.undo()
+    monkeypatch.setattr("locfuse.formats.container.source.MAX_CHUNK", 4 * 71 - extra)
+    too_large = (["a chunk is larger than 0 MiB"]) * extra
+    assert times(tmp_path, content) == (of(A) * (1 - extra), too_large)
 
 
 def test_in_a_file_without_chunks_damage_ends_where_three_records_follow_each_other(tmp_path: Path) -> None:
@@ -416,15 +390,6 @@ def test_places_are_found_in_every_window_of_a_long_hole(tmp_path: Path, monkeyp
         assert [n_bytes for _, _, n_bytes, _ in lost] == [3 * len(GARBAGE), len(GARBAGE)]
 
 
-def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "f.mcap"
-    for start, whole in ((len(WHOLE), True), (len(WHOLE) + 1, False), (8, False), (7, False)):
-        footer = struct.pack("<BQQQ", FOOTER, 20, start, 0)
-        content = WHOLE + footer + struct.pack("<I", zlib.crc32(footer)) + MAGIC
-        path.write_bytes(content)
-        assert (read_summary(FileBytes(path, Losses())) is not None) == whole
-
-
 # --- what a source gives of such files
 
 
@@ -440,26 +405,21 @@ def other_channel(first: int, indexed: bool) -> Chunk:
 
 
 @pytest.mark.parametrize("summary", [True, False])
-def test_a_chunk_that_fails_its_checksum_is_lost_with_its_known_messages(tmp_path: Path, summary: bool) -> None:
-    content = bytearray(summarised(WHOLE, [A, B, C]) if summary else WHOLE + NO_SUMMARY)
-    at = WHOLE.index(B.record)
-    content[at + 9 + 40 + 35] ^= 1
-    found, lost = lost_by(tmp_path, bytes(content), {1, 2})
-    assert found == of(A, C)
-    assert lost == [("a chunk fails its checksum", at, 4 * 71, 4 if summary else None)]
-
-
-@pytest.mark.parametrize("summary", [True, False])
-def test_of_a_chunk_without_checksum_what_lies_outside_the_damage_is_read(tmp_path: Path, summary: bool) -> None:
+def test_damage_in_a_chunk_loses_it_by_its_checksum_and_without_one_what_lies_in_the_damage(
+    tmp_path: Path, summary: bool
+) -> None:
     loose = chunk(200, crc=False)
-    data = FRONT + A.all + loose.all + END
-    content = bytearray(summarised(data, [A, loose]) if summary else data + NO_SUMMARY)
-    at = data.index(loose.record)
-    content[at + 49 + 71] = 0  # the opcode of the second message
-    found, lost = lost_by(tmp_path, bytes(content), {1, 2})
-    assert found == [*of(A), 202, 203]
-    missing = 2 if summary else None  # the message before it may be part of the damage
-    assert lost == [("a chunk holds bytes that are no record", at, 4 * 71, missing)]
+    for middle, at, there, loss in (
+        (B, 9 + 40 + 35, [], ("a chunk fails its checksum", 4)),
+        (loose, 49 + 71, [202, 203], ("a chunk holds bytes that are no record", 2)),  # the second message's opcode
+    ):
+        data = FRONT + A.all + middle.all + C.all + END
+        content = bytearray(summarised(data, [A, middle, C]) if summary else data + NO_SUMMARY)
+        place = data.index(middle.record)
+        content[place + at] = 0 if middle is loose else content[place + at] ^ 1
+        found, lost = lost_by(tmp_path, bytes(content), {1, 2})
+        assert found == [*of(A), *there, *of(C)]
+        assert lost == [(loss[0], place, 4 * 71, loss[1] if summary else None)]
 
 
 def test_a_chunk_that_holds_nothing_wanted_is_not_opened(tmp_path: Path) -> None:
@@ -479,18 +439,6 @@ def test_messages_of_a_channel_that_nobody_defines_are_counted(tmp_path: Path) -
     found, lost = lost_by(tmp_path, START + SCHEMAS + alone + A.all + B.all + END + NO_SUMMARY, {1})
     assert found == [t for t in of(A, B) if t % 100 < 3]
     assert lost == [("messages of an undefined channel", 2, 0, 2)]
-
-
-def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:
-    inside = SCHEMAS + CHANNELS + message(1, 100, b"a")
-    content = START + chunk(100, plain=inside).record + END + NO_SUMMARY
-    data, losses = laid(tmp_path, content)
-    source = McapSource(data)
-    assert not losses
-    assert [(c.topic, c.msgtype, c.n) for c in source.channels.values()] == [
-        ("/1", "pkg/A", 1),
-        ("/2", "pkg/A", 0),
-    ]
 
 
 @pytest.mark.parametrize(("length", "found"), [(40, True), (41, False)])
@@ -519,9 +467,20 @@ def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) 
     assert source.time_span_ns == (500, 501)
 
 
-@pytest.mark.parametrize(("cap", "whole"), [(4 * 71, True), (4 * 71 - 1, False)])
-def test_a_chunk_may_fill_its_cap(tmp_path: Path, cap: int, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("locfuse.formats.container.source.MAX_CHUNK", cap)
-    found, lost = lost_by(tmp_path, FRONT + A.all + END + NO_SUMMARY, {1, 2})
-    assert found == (of(A) if whole else [])
-    assert [reason for reason, *_ in lost] == ([] if whole else ["a chunk is larger than 0 MiB"])
+def test_messages_outside_chunks_are_taken_in_runs_with_their_times(tmp_path: Path) -> None:
+    loose = message(1, 50, b"a") + message(2, 40, b"bc") + message(1, 60, b"")
+    found, lost = walked(tmp_path, FRONT + loose + A.all + message(2, 210, b"z") + END + NO_SUMMARY)
+    assert not lost
+    assert [
+        (part.offset, part.size, part.counts, part.span) for part in found.parts if not isinstance(part, ChunkRef)
+    ] == [(len(FRONT), len(loose), {1: 2, 2: 1}, (40, 60)), (len(FRONT + loose + A.all), 32, {2: 1}, (210, 210))]
+    assert sorted(times(tmp_path, FRONT + loose + A.all + END + NO_SUMMARY)[0]) == [40, 50, 60, *of(A)]
+
+
+def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "f.mcap"
+    for start, whole in ((len(WHOLE), True), (len(WHOLE) + 1, False), (8, False), (7, False)):
+        footer = struct.pack("<BQQQ", FOOTER, 20, start, 0)
+        content = WHOLE + footer + struct.pack("<I", zlib.crc32(footer)) + MAGIC
+        path.write_bytes(content)
+        assert (read_summary(FileBytes(path, Losses())) is not None) == whole

@@ -142,22 +142,7 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("text", REFUSED)
-def test_what_cannot_be_changed_is_said_in_one_line(text: str) -> None:
-    setting = Setting(key="alpha1", value=1.5, words="")
-
-    def change() -> None:
-        file = parsed(FILE, text)
-        changed(file, section_of(file, "amcl"), [setting])
-
-    with pytest.raises(LocfuseError) as problem:
-        change()
-    assert REFUSED[text] in str(problem.value)
-    assert "\n" not in str(problem.value)
-
-
-CONTROLLERS = """
-controller_manager:
+CONTROLLER = """controller_manager:
   ros__parameters:
     front:
       type: ackermann_steering_controller/AckermannSteeringController
@@ -165,14 +150,22 @@ front:
   ros__parameters:
     wheel_separation: 0.4
 """
+STEERED = "front is a ackermann_steering_controller/AckermannSteeringController, not a diff_drive_controller"
 
 
-def test_a_controller_of_another_type_is_refused() -> None:
-    file = parsed(FILE, CONTROLLERS)
-    with pytest.raises(
-        LocfuseError, match=r"front is a ackermann_steering_controller/.*not a diff_drive_controller"
-    ):
-        section_of(file, "diff_drive")
+@pytest.mark.parametrize(
+    ("text", "target", "says"),
+    [*((text, "amcl", says) for text, says in REFUSED.items()), (CONTROLLER, "diff_drive", STEERED)],
+)
+def test_what_cannot_be_changed_is_said_in_one_line(text: str, target: str, says: str) -> None:
+    def change() -> None:
+        file = parsed(FILE, text)
+        changed(file, section_of(file, target), [Setting(key="alpha1", value=1.5, words="")])
+
+    with pytest.raises(LocfuseError) as problem:
+        change()
+    assert says in str(problem.value)
+    assert "\n" not in str(problem.value)
 
 
 def test_a_node_is_chosen_by_its_name_and_nested_keys_are_found() -> None:

@@ -268,17 +268,6 @@ def test_an_equal_panel_has_one_scale() -> None:
     assert lengths[0] == pytest.approx(lengths[1], abs=0.3)
 
 
-def test_a_report_has_its_figures_and_each_its_words() -> None:
-    scene, _ = small_scene.long(0.2, 6)
-    found = sections(scene)
-    assert [s.name for s in found] == [
-        "trajectories", "where", "deviation", "spread", "bands", "consistency", "innovations", "gates", "learnt",
-    ]  # fmt: skip
-    panels = [p for s in found for p in s.panels]
-    assert len({p.name for p in panels}) == len(panels)
-    assert all(p.summary and p.title for p in panels)
-
-
 def test_paper_figures_are_the_same_bytes_twice_with_real_fonts() -> None:
     scene, _ = small_scene.long(0.05, 2)
     some = [s for s in sections(scene) if s.name in {"trajectories", "gates"}]

@@ -61,8 +61,11 @@ def test_a_log_that_cannot_be_read_is_a_row_and_the_others_are_compared(logs: li
     assert "no such log" in found["gone", ""]["reason"]
     assert found[logs[1].stem, "compass"]["state"] == "done"
     assert [r["log"] for r in rows(tmp_path / "out")] == [
-        *[logs[0].stem] * 2, "bad", "gone", *[logs[1].stem] * 2,
-    ]  # fmt: skip
+        *[logs[0].stem] * 2,
+        "bad",
+        "gone",
+        *[logs[1].stem] * 2,
+    ]
     assert done.stderr.count("failed: ") == 2
     assert "2 failed" in done.stdout
 
@@ -255,19 +258,18 @@ def test_progress_says_how_long_it_will_take() -> None:
 
 
 def test_lists_patterns_and_folders_name_logs(logs: list[Path], tmp_path: Path) -> None:
-    listed = tmp_path / "logs.txt"
+    listed, root = tmp_path / "logs.txt", logs[0].parent.parent
     listed.write_text(f"# two of them\n{logs[0]}\n\n{logs[3].parent}/*.mcap\n")
     assert expanded([f"@{listed}"]) == [str(p) for p in (logs[0], logs[2], logs[3])]
-    assert expanded([str(logs[0].parent.parent / "r*" / "*.mcap")]) == [str(p) for p in logs]
-    root = logs[0].parent.parent
-    bag = tmp_path / "bag"
-    bag.mkdir()
-    shutil.copy(logs[0], bag)
-    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
-    (tmp_path / "result").mkdir()
-    (tmp_path / "result" / "report.json").write_text("{}")
-    shutil.copy(logs[0], tmp_path / "result" / "estimates.mcap")
-    assert expanded([], [str(root)]) == [str(p) for p in logs]
+    assert expanded([str(root / "r*" / "*.mcap")]) == expanded([], [str(root)]) == [str(p) for p in logs]
+    bag, result = tmp_path / "bag", tmp_path / "result"
+    for folder, file, text in (
+        (bag, "metadata.yaml", "rosbag2_bagfile_information: {}"),
+        (result, "report.json", "{}"),
+    ):
+        folder.mkdir()
+        (folder / file).write_text(text)
+        shutil.copy(logs[0], folder / "estimates.mcap")
     assert expanded([], [str(tmp_path)]) == [str(bag)]
     for words in (["*.nothing"], [f"@{tmp_path / 'robot.toml'}"]):
         with pytest.raises((UsageError, Exception), match=r"nothing fits|cannot be read"):

@@ -70,13 +70,10 @@ def test_the_mean_is_of_robots_and_its_interval_students_t_over_them() -> None:
 
 
 @pytest.mark.parametrize("values", [[0.2], [0.1, 0.3], [0.1, 0.2, 0.3]])
-def test_fewer_than_four_replicates_have_no_interval(values: list[float]) -> None:
+def test_fewer_than_four_replicates_have_no_interval_and_a_tie_of_two_neither(values: list[float]) -> None:
     found = mean_over(values)
     assert found.mean == pytest.approx(0.2)
     assert found[1:] == (None, None, len(values))
-
-
-def test_two_drives_that_disagree_tie_without_an_interval() -> None:
     errors: tuple[dict[str, float | None], ...] = ({"lrf": 0.10, "all": 0.12}, {"lrf": 0.12, "all": 0.11})
     tie = summarised([entry(str(i), None, e) for i, e in enumerate(errors)])["ties"]
     assert [(t["low"], t["high"]) for t in tie.values()] == [(None, None)]
@@ -206,17 +203,13 @@ def test_names_of_logs_and_reasons_are_no_markup_on_the_page() -> None:
     assert 'href="javascript:' not in page([entry("javascript:alert(1)", None, {"all": 0.1})])
 
 
-def test_names_of_logs_and_reasons_act_on_no_terminal_that_shows_the_csv() -> None:
+@pytest.mark.parametrize("name", ['=HYPERLINK("http://x")', "+cmd|' /C calc'!A0", "-1+1", "@SUM(1)"])
+def test_names_of_logs_and_reasons_act_on_no_terminal_and_in_no_spreadsheet(name: str) -> None:
+    header, row = csv_module.reader(io.StringIO(csv(fleet_table([Entry(name, name, "failed", name)], []))))
+    assert [dict(zip(header, row, strict=True))[key] for key in ("log", "robot", "reason")] == ["'" + name] * 3
     text = csv(fleet_table([Entry("a\x1b]0;b", None, "failed", "unknown key lrf.\x1b[2J\u202e")], []))
     assert text.isascii()
     assert text.replace("\n", "").isprintable()
-
-
-@pytest.mark.parametrize("name", ['=HYPERLINK("http://x")', "+cmd|' /C calc'!A0", "-1+1", "@SUM(1)"])
-def test_names_of_logs_are_no_formulas_of_a_spreadsheet(name: str) -> None:
-    text = csv(fleet_table([Entry(name, name, "failed", name)], []))
-    header, row = csv_module.reader(io.StringIO(text))
-    assert [dict(zip(header, row, strict=True))[key] for key in ("log", "robot", "reason")] == ["'" + name] * 3
 
 
 def test_logs_without_truth_and_without_any_result_have_a_page() -> None:

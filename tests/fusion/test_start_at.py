@@ -102,9 +102,12 @@ def test_a_truth_that_begins_later_gives_the_start_of_its_moment(tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("at", "says"),
-    [(1e4, "start.at = 10000: the drive ends at 54.8 s"), (-1, "start.at = -1: must be a number >= 0.0"),
-     ("noon", "start.at = 'noon': must be a number >= 0.0, or 'scan'")],
-)  # fmt: skip
+    [
+        (1e4, "start.at = 10000: the drive ends at 54.8 s"),
+        (-1, "start.at = -1: must be a number >= 0.0"),
+        ("noon", "start.at = 'noon': must be a number >= 0.0, or 'scan'"),
+    ],
+)
 def test_a_moment_outside_the_drive_is_one_line(at: Any, says: str) -> None:
     with pytest.raises(LocfuseError, match=says.replace(".", r"\.")):
         api.load(SAMPLE, sets={"start.at": at})
@@ -368,9 +371,11 @@ def direction_of_scans(drive: Drive) -> float:
 
 @pytest.mark.parametrize(
     ("log", "sets", "configured"),
-    [("turtlebot4/tb4_mcap.mcap", ("lrf.time_offset=-0.17",), 90.0),
-     ("strangers/pimouse.bag", ("lrf.time_offset=-0.16", "lrf.range_scale=0.93"), 0.0)],
-)  # fmt: skip
+    [
+        ("turtlebot4/tb4_mcap.mcap", ("lrf.time_offset=-0.17",), 90.0),
+        ("strangers/pimouse.bag", ("lrf.time_offset=-0.16", "lrf.range_scale=0.93"), 0.0),
+    ],
+)
 def test_a_laser_is_found_turned_as_matched_scans_say(log: str, sets: tuple[str, ...], configured: float) -> None:
     loaded = load([real_log(log)], LogOptions(sets=sets, quiet=True))
     assert loaded.robot.settings("lrf").mount[2] == pytest.approx(math.radians(configured), abs=1e-3)

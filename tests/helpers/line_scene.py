@@ -125,9 +125,14 @@ def symmetric(upper: Array) -> Array:
 
 
 def sighted(
-    rows: Array, lines: LineMap, belief: JointBelief, gate: float, states: bool,
-    mount_states: MountStates | None = None, shared: Array = NO_SHARES,
-) -> Sighted:  # fmt: skip
+    rows: Array,
+    lines: LineMap,
+    belief: JointBelief,
+    gate: float,
+    states: bool,
+    mount_states: MountStates | None = None,
+    shared: Array = NO_SHARES,
+) -> Sighted:
     """Associate lines (n, 7) with a map, whose lines are `states` or not, and write what matches."""
     found = Sighted(
         Rules(gate, states, True, UNMATCHED, AMBIGUOUS, NEW), mount_states or mount_states_of(None, belief)

@@ -14,10 +14,16 @@ Keep = Callable[[str, float], bool]  # of a message: its topic, and s since the 
 
 
 def rewritten(
-    target: Path, seed: int | None = None, without: str | None = None, name: str = "rounded_rectangle", *,
-    source: Path | None = None, robot: str | Callable[[str], str] | None = None,
-    keep: Keep = lambda topic, t: True, data: Callable[[str, bytes], bytes] = lambda topic, data: data,
-) -> Path:  # fmt: skip
+    target: Path,
+    seed: int | None = None,
+    without: str | None = None,
+    name: str = "rounded_rectangle",
+    *,
+    source: Path | None = None,
+    robot: str | Callable[[str], str] | None = None,
+    keep: Keep = lambda topic, t: True,
+    data: Callable[[str, bytes], bytes] = lambda topic, data: data,
+) -> Path:
     """A sample log, or the log `source`, without one topic or what is not to be kept, in another order.
 
     `robot`: a robot.toml of its own, or what is made of the one that was there; `data`: what a message then holds.

@@ -34,11 +34,7 @@ def streams() -> tuple[dict[str, Stream], dict[str, dict[str, Any]]]:
     found["pose"] = poses(found["truth"])
     found["twist"] = speeds(found["truth"])
     found["landmarks"] = detections(found["truth"])
-    tables["landmarks"] = {
-        "map": {str(key): list(place) for key, place in PLACES.items()},
-        "x": 0.1,
-        "y": -0.05,
-    }
+    tables["landmarks"] = {"map": {str(key): list(place) for key, place in PLACES.items()}, "x": 0.1, "y": -0.05}
     found["ranges"] = ranges(found["truth"])
     tables["ranges"] = {**tables["landmarks"]}
     return found, tables

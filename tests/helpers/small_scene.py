@@ -99,16 +99,32 @@ def _configuration(
     walls = [MapLine(i, 6.0, i * math.pi / 2, (-3.0, 3.0), np.eye(2)) for i in range(4)]
     blocks = {"compass_offset": 0.01 * rng.normal(size=(len(t), 1))} if "compass" in sensors else {}
     estimates = Estimates(
-        name, sensors, t, pose, np.tile(upper_triangles(np.eye(3) * 1e-4), (len(t), 1)), audits, blocks,
-        {k: np.full_like(v, 0.01) for k, v in blocks.items()}, walls[:2], walls,
-    )  # fmt: skip
+        name,
+        sensors,
+        t,
+        pose,
+        np.tile(upper_triangles(np.eye(3) * 1e-4), (len(t), 1)),
+        audits,
+        blocks,
+        {k: np.full_like(v, 0.01) for k, v in blocks.items()},
+        walls[:2],
+        walls,
+    )
     figures = dict.fromkeys(("position_rmse_m", "x_rmse_m", "heading_rmse_deg", "anees"), 0.5)
     counts = {s: SensorFigures(9, 1, 0, 1.0, None, {"accepted": 9, "gate": 1}) for s in sensors}
     judged = Evaluation(
-        name, counts, {**figures, "duration_s": 60.0, "distance_m": 9.0}, q, noise, heading, noise,
-        np.full((len(q), 3), 0.01) * (1 + 0.3 * rng.random((len(q), 1))), rng.chisquare(3, len(q)) / 3,
-        q * 0.3, drive.truth.xy + noise,
-    )  # fmt: skip
+        name,
+        counts,
+        {**figures, "duration_s": 60.0, "distance_m": 9.0},
+        q,
+        noise,
+        heading,
+        noise,
+        np.full((len(q), 3), 0.01) * (1 + 0.3 * rng.random((len(q), 1))),
+        rng.chisquare(3, len(q)) / 3,
+        q * 0.3,
+        drive.truth.xy + noise,
+    )
     return estimates, judged
 
 

@@ -30,7 +30,7 @@ from trap_logs import (
     seconds,
     speeds,
     truth_headings,
-)  # fmt: skip
+)
 
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.table import RawMessage
@@ -182,24 +182,34 @@ WHEEL_TRAPS = (
     Trap("an arm on the same topic", arm, "other joints than left_wheel_joint and right_wheel_joint"),
     Trap("no velocity and no effort", field(WHEELS, velocity=np.zeros(0))),
     Trap("a first sample that is not zero", field(WHEELS, position=lambda p: p + 371.2)),
-    Trap("angles that wrap at pi", field(WHEELS, position=lambda p: (p + np.pi) % (2 * np.pi) - np.pi),
-         "left counter rolled over"),
+    Trap(
+        "angles that wrap at pi",
+        field(WHEELS, position=lambda p: (p + np.pi) % (2 * np.pi) - np.pi),
+        "left counter rolled over",
+    ),
     Trap("a spike that returns", spiked, "left counter jumped away and returned"),
     Trap("a counter that starts anew", each(WHEELS, restart), "counter started anew"),
     Trap("repeats with dt = 0", again(WHEELS, 5), "repeat the one before"),
     Trap("readings that are no numbers", NOT_NUMBERS, "NaN or Inf"),
-    Trap("a mirrored wheel", field(WHEELS, position=lambda p: p * [1.0, -1.0]), "the right wheel counts backward",
-         spoils=True),
-    Trap("left and right swapped", field(WHEELS, name=lambda n: tuple(n)[::-1]), "left and right are swapped",
-         spoils=True),
+    Trap(
+        "a mirrored wheel",
+        field(WHEELS, position=lambda p: p * [1.0, -1.0]),
+        "the right wheel counts backward",
+        spoils=True,
+    ),
+    Trap(
+        "left and right swapped",
+        field(WHEELS, name=lambda n: tuple(n)[::-1]),
+        "left and right are swapped",
+        spoils=True,
+    ),
     Trap("joints of other names", other_names, "the joints of the wheels", spoils=True, refused=True),
     Trap("a wrong track", geometry(track=0.9 * TRACK), "configured 0.54 m", spoils=True),
     Trap("a larger wheel", geometry(ratio=0.88), "times the left one's", spoils=True),
     Trap("a wrong radius", WRONG_RADIUS, "they measure", spoils=True),
     Trap("wheel angles in degrees", field(WHEELS, position=np.degrees), "angles look like degrees", spoils=True),
     Trap("geometry that only /odom knows", no_geometry, "/odom was made with these", spoils=True, refused=True),
-    Trap("geometry that /robot_description knows", described, "/robot_description has", spoils=True,
-         refused=True),
+    Trap("geometry that /robot_description knows", described, "/robot_description has", spoils=True, refused=True),
     Trap("a pair of Int16 counters", tick_pair, "/odom was made with these"),
     Trap("odometry instead of wheels", only_odometry),
     Trap("an odometry blind to reverse", blind_to_reverse, "while its velocity says reverse"),
@@ -207,7 +217,7 @@ WHEEL_TRAPS = (
     Trap("an odometry without poses", twist_only, "its pose never changes: its twist is used"),
     Trap("an odometry that jumps", relocalised, "its pose jumped once"),
     Trap("two odometries", two_odometries, "2 topics that fit", spoils=True, refused=True),
-)  # fmt: skip
+)
 
 # --- clocks
 
@@ -245,22 +255,39 @@ def silent(topic: str, *gaps: tuple[float, float]) -> Change:
 
 
 CLOCK_TRAPS = (
-    Trap("stamps that run backwards", late(WHEELS, -0.4, lambda m: 9.0 < seconds(m) < 9.35),
-         "dated by recording time instead (8 backwards)"),
+    Trap(
+        "stamps that run backwards",
+        late(WHEELS, -0.4, lambda m: 9.0 < seconds(m) < 9.35),
+        "dated by recording time instead (8 backwards)",
+    ),
     Trap("stamps of zero", some(WHEELS, 0, 9, lambda m: m._replace(stamp_ns=0)), "zero)"),
-    Trap("absurd stamps", some(WHEELS, 0, 9, lambda m: m._replace(stamp_ns=m.stamp_ns + 3600 * S)),
-         "off the stream's clock)"),
-    Trap("stamps that are all zero", each(WHEELS, lambda m: m._replace(stamp_ns=0)),
-         "log time (all header stamps are zero)"),
+    Trap(
+        "absurd stamps",
+        some(WHEELS, 0, 9, lambda m: m._replace(stamp_ns=m.stamp_ns + 3600 * S)),
+        "off the stream's clock)",
+    ),
+    Trap(
+        "stamps that are all zero",
+        each(WHEELS, lambda m: m._replace(stamp_ns=0)),
+        "log time (all header stamps are zero)",
+    ),
     Trap("stamps that are all the same", each(WHEELS, lambda m: m._replace(stamp_ns=S)), "stamps are the same"),
-    Trap("stamps that stand still", each(SCAN, lambda m: m._replace(stamp_ns=m.stamp_ns // S * S)),
-         "have the header stamp of the one before", True, "lrf"),
-    Trap("stamps that are all zero beside another clock's", replayed(WHEELS),
-         "less the 691200.027 s (median) that the stamps of the other topics are behind it"),
+    Trap(
+        "stamps that stand still",
+        each(SCAN, lambda m: m._replace(stamp_ns=m.stamp_ns // S * S)),
+        "have the header stamp of the one before",
+        True,
+        "lrf",
+    ),
+    Trap(
+        "stamps that are all zero beside another clock's",
+        replayed(WHEELS),
+        "less the 691200.027 s (median) that the stamps of the other topics are behind it",
+    ),
     Trap("header and log time are two clocks", simulated_time, "two clocks; header stamps are used"),
     Trap("a silence", silent(WHEELS, (8.0, 8.9)), "a gap of 0.9 s"),
     Trap("a truth that repeats", again(TRUTH, 3), "repeat the one before"),
-)  # fmt: skip
+)
 
 # --- compasses and gyros
 
@@ -361,29 +388,73 @@ def gyro(R: Array, **edited: Any) -> Change:
 
 COMPASS_TRAPS = (
     Trap("heading, ENU in radians", number(np.asarray, 0.0, False), None, False, "compass"),
-    Trap("heading, ENU in degrees", number(np.degrees, 360.0, False), "the wheels it grows counter-clockwise",
-         True, "compass", True),
-    Trap("heading, compass in degrees", number(np.degrees, 360.0, True), "the wheels it grows clockwise",
-         True, "compass", True),
-    Trap("heading, compass in radians", number(np.asarray, 2 * math.pi, True), "headings grow clockwise",
-         True, "compass"),
+    Trap(
+        "heading, ENU in degrees",
+        number(np.degrees, 360.0, False),
+        "the wheels it grows counter-clockwise",
+        True,
+        "compass",
+        True,
+    ),
+    Trap(
+        "heading, compass in degrees",
+        number(np.degrees, 360.0, True),
+        "the wheels it grows clockwise",
+        True,
+        "compass",
+        True,
+    ),
+    Trap(
+        "heading, compass in radians",
+        number(np.asarray, 2 * math.pi, True),
+        "headings grow clockwise",
+        True,
+        "compass",
+    ),
     Trap("a magnetometer upside-down", turned_field(UPSIDE_DOWN), "the field turns says that it", True, "compass"),
-    Trap("a magnetometer rolled by 90 degrees", turned_field(ROLLED), "the field turns says that it",
-         True, "compass"),
+    Trap(
+        "a magnetometer rolled by 90 degrees",
+        turned_field(ROLLED),
+        "the field turns says that it",
+        True,
+        "compass",
+    ),
     Trap("an IMU on end", pitched_imu, "compass: gravity says that it is mounted", True, "compass"),
     Trap("an IMU rolled by 90 degrees", gyro(ROLLED), "gyro: gravity says that it is mounted", True, "gyro", True),
     Trap("an IMU in NED", ned_imu, "headings grow clockwise", True, "compass"),
-    Trap("gravity of the other sign", gyro(np.eye(3), linear_acceleration__z=lambda v: -v),  # the pull itself
-         "gives gravity with the other sign", False, "gyro"),
+    Trap(
+        "gravity of the other sign",
+        gyro(np.eye(3), linear_acceleration__z=lambda v: -v),  # the pull itself
+        "gives gravity with the other sign",
+        False,
+        "gyro",
+    ),
     Trap("an IMU without orientation", imu_without_yaw, None, False, "compass"),
-    Trap("a gyro upside-down", gyro(UPSIDE_DOWN, **{f"linear_acceleration__{a}": 0.0 for a in "xyz"}),
-         "turns -0.9", True, "gyro", True),
-    Trap("a gyro in degrees", gyro(np.eye(3), angular_velocity__z=math.degrees), "times as far as the wheels",
-         True, "gyro", True),
-    Trap("a gyro that turns too far", gyro(np.eye(3), angular_velocity__z=lambda v: 1.1 * v),
-         "too far by the headings of", False, "gyro"),
+    Trap(
+        "a gyro upside-down",
+        gyro(UPSIDE_DOWN, **{f"linear_acceleration__{a}": 0.0 for a in "xyz"}),
+        "turns -0.9",
+        True,
+        "gyro",
+        True,
+    ),
+    Trap(
+        "a gyro in degrees",
+        gyro(np.eye(3), angular_velocity__z=math.degrees),
+        "times as far as the wheels",
+        True,
+        "gyro",
+        True,
+    ),
+    Trap(
+        "a gyro that turns too far",
+        gyro(np.eye(3), angular_velocity__z=lambda v: 1.1 * v),
+        "too far by the headings of",
+        False,
+        "gyro",
+    ),
     Trap("a compass late by 0.3 s", late(COMPASS, 0.3), "stamps look 0.3", True, "compass"),
-)  # fmt: skip
+)
 
 # --- lasers
 
@@ -487,24 +558,50 @@ LASER_TRAPS = (
     Trap("no return as NaN", no_returns(math.nan), "without a return: 17% NaN", False, "lrf"),
     Trap("no return as 0", no_returns(0.0), "without a return: 17% zero", False, "lrf"),
     Trap("no return beyond range_max", no_returns(9.0), "without a return: 17% beyond range_max", False, "lrf"),
-    Trap("no return as range_max, or as one other range", SATURATED,
-         "exactly 5 m, the longest: read as no return", False, "lrf"),
+    Trap(
+        "no return as range_max, or as one other range",
+        SATURATED,
+        "exactly 5 m, the longest: read as no return",
+        False,
+        "lrf",
+    ),
     Trap("a range_max that is not filled in", field(SCAN, range_max=0.0), "not filled in", False, "lrf"),
-    Trap("an angle_max that contradicts the increment", field(SCAN, angle_max=lambda a: a - 0.2),
-         "angle_increment is used", False, "lrf"),
+    Trap(
+        "an angle_max that contradicts the increment",
+        field(SCAN, angle_max=lambda a: a - 0.2),
+        "angle_increment is used",
+        False,
+        "lrf",
+    ),
     Trap("a laser that freezes while the robot drives", freezes(SCAN), "repeat the one before", False, "lrf"),
     Trap("scans that were recorded twice", again(SCAN, 2), "repeat the one before", False, "lrf"),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),
     Trap("a laser upside-down", upside_down, "mounted upside-down", True, "lrf"),
-    Trap("upside-down, said by /tf_static", told_by_tf(upside_down, HANGING), "upside-down by /tf_static",
-         False, "lrf"),
+    Trap(
+        "upside-down, said by /tf_static",
+        told_by_tf(upside_down, HANGING),
+        "upside-down by /tf_static",
+        False,
+        "lrf",
+    ),
     Trap("a yawed laser", yawed(QUARTER), "not of 0 deg as", True, "lrf", blur=0.02),
     Trap("a laser that looks back", yawed(math.pi), "not of 0 deg as", True, "lrf", blur=0.02),
     Trap("yawed, said by /tf_static", told_by_tf(yawed(QUARTER), LEFT), "yaw 90° by /tf_static", False, "lrf"),
-    Trap("two publishers of /tf_static", told_by_tf(None, LEFT, PLACED), "contradict; the last one counts",
-         False, "lrf"),
-    Trap("a wrong publisher of /tf_static", told_by_tf(None, PLACED, LEFT), "not of 90 deg as",
-         True, "lrf", blur=0.02),
+    Trap(
+        "two publishers of /tf_static",
+        told_by_tf(None, LEFT, PLACED),
+        "contradict; the last one counts",
+        False,
+        "lrf",
+    ),
+    Trap(
+        "a wrong publisher of /tf_static",
+        told_by_tf(None, PLACED, LEFT),
+        "not of 90 deg as",
+        True,
+        "lrf",
+        blur=0.02,
+    ),
     Trap("a laser late by 0.4 s", late(SCAN, 0.4), "stamps look 0.4", True, "lrf"),
     Trap("a laser whose stamps scatter by 0.03 s", scattered(SCAN, 0.03), "stamps scatter by 0.027", False, "lrf"),
     Trap("a laser on another clock", late(SCAN, 3600.0), "stamped 3600.0 s after the wheels", True, "lrf", True),
@@ -512,7 +609,7 @@ LASER_TRAPS = (
     Trap("a laser whose ranges are all 8 cm long", LONG_RANGES, "as if every range were", True, "lrf"),
     Trap("a laser whose ranges are in mm", MILLIMETRES, "its ranges look like mm", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),
-)  # fmt: skip
+)
 
 # --- the truth
 
@@ -553,15 +650,18 @@ def points_only(drive: Drive) -> None:
 
 TRUTH_TRAPS = (
     Trap("a tracked marker off the axle", each(TRUTH, marker), "it swings as the body point", spoils=True),
-    Trap("gaps in the truth", silent(TRUTH, (8.0, 10.0), (14.0, 15.0)),
-         "2 gaps, the longest 2.1 s: no errors are computed there"),
+    Trap(
+        "gaps in the truth",
+        silent(TRUTH, (8.0, 10.0), (14.0, 15.0)),
+        "2 gaps, the longest 2.1 s: no errors are computed there",
+    ),
     Trap("a truth that freezes while the robot drives", freezes(TRUTH), "repeat the one before"),
     Trap("a truth on a clock of its own", late(TRUTH, 0.5), "stamps look 0.5", spoils=True),
     Trap("a truth without headings", each(TRUTH, no_heading), "its heading never changes"),
     Trap("jumps of metres in the truth", each(TRUTH, jump), "by more than the wheels rolled", spoils=True),
     Trap("a start that is not set", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
     Trap("a start by points only", points_only, "from where the drive starts", spoils=True),
-)  # fmt: skip
+)
 
 # --- cameras
 
@@ -609,7 +709,12 @@ CONFUSED = partial(raw, encoding="rgb8", pixels=lambda p: p)  # the driver means
 CAMERA_TRAPS = (
     Trap("pictures in rows with padding", PADDED, None, False, "camera"),
     Trap("rgb for bgr", CONFUSED, "in red: rgb is taken for bgr", True, "camera"),
-    Trap("truncated JPEGs", every(5, lambda m: bytes(m.fields["data"])[: len(m.fields["data"]) // 3]),
-         "cannot be decoded: truncated", False, "camera"),
+    Trap(
+        "truncated JPEGs",
+        every(5, lambda m: bytes(m.fields["data"])[: len(m.fields["data"]) // 3]),
+        "cannot be decoded: truncated",
+        False,
+        "camera",
+    ),
     Trap("pictures that change size", every(6, smaller), "they change size: 240 x 240", False, "camera"),
-)  # fmt: skip
+)

@@ -123,11 +123,14 @@ def frames(parent: str, child: str, t: Array, poses: Array, topic: str = "/tf", 
     """One frame in another, and `more` (parent, child, pose) that never move in every message."""
     still = [(a, b, *placed(np.array([pose]), "translation", "rotation")) for a, b, pose in more]
     rows = (
-        {"transforms": [
-            {"header": header(ns, a), "child_frame_id": b, "transform": found}
-            for a, b, found in ((parent, child, moving), *still)]}
+        {
+            "transforms": [
+                {"header": header(ns, a), "child_frame_id": b, "transform": found}
+                for a, b, found in ((parent, child, moving), *still)
+            ]
+        }
         for ns, moving in zip(stamps(t), placed(poses, "translation", "rotation"), strict=True)
-    )  # fmt: skip
+    )
     return messages(topic, "tf2_msgs/msg/TFMessage", t, rows)
 
 

@@ -50,16 +50,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
     ),
     "sample_logs": (),
     "robots": (),
-    "cli": (
-        "analysis",
-        "advice inspect",
-        "session",
-        "rerun ros",
-        "fleet",
-        "terminal",
-        "commands main",
-        "facade",
-    ),
+    "cli": ("analysis", "advice inspect", "session", "rerun ros", "fleet", "terminal", "commands main", "facade"),
 }
 # what each top folder may import besides itself and the standard library
 OURS = {

@@ -138,12 +138,16 @@ def after(metres: float, degrees: float, before: float = 0.02) -> dict[str, Any]
         (FIVE, [], after(0.004, 0.3), {"worse": ["all 0.20 -> 0.30 degrees"]}),
         (FIVE, [], after(0.004, 0.2, 0.003), {"worse": []}),
         # a wrong truth costs what is printed, and a withheld figure costs nothing
-        (TRUTH, [("truth", "truth.time_offset=-0.05")], {**SAME, "printed": PRINTED},
-         {"closed": pytest.approx(1.0), "errors_m": [0.004, 0.016, 0.004]}),
+        (
+            TRUTH,
+            [("truth", "truth.time_offset=-0.05")],
+            {**SAME, "printed": PRINTED},
+            {"closed": pytest.approx(1.0), "errors_m": [0.004, 0.016, 0.004]},
+        ),
         (TRUTH, [LASER], {**BENT, "printed": PRINTED}, {"closed": pytest.approx(2 / 12)}),
         (TRUTH, [("truth", "")], {**SAME, "printed": WITHHELD}, {"closed": None}),
     ],
-)  # fmt: skip
+)
 def test_advice_is_judged_by_what_it_names_covers_up_and_closes(
     case: str, findings: list[tuple[str, str]], more: dict[str, Any], expected: dict[str, Any]
 ) -> None:

@@ -109,14 +109,31 @@ def test_nan_or_inf_anywhere_is_skipped_and_counted(folder: Path, value: float) 
         ranges[10:20] = v
         said += [
             *[Said("/joint_states", "sensor_msgs/msg/JointState", joint(ns + 10**6, bad), ns + 10**6)][: int(odd)],
-            Said("/scan", "sensor_msgs/msg/LaserScan", cdr(
-                "sensor_msgs/msg/LaserScan", header=header(ns, "laser"), angle_min=-1.5,
-                angle_increment=v if i == 12 else 0.03, range_max=30.0, ranges=ranges.astype(np.float32)), ns),
+            Said(
+                "/scan",
+                "sensor_msgs/msg/LaserScan",
+                cdr(
+                    "sensor_msgs/msg/LaserScan",
+                    header=header(ns, "laser"),
+                    angle_min=-1.5,
+                    angle_increment=v if i == 12 else 0.03,
+                    range_max=30.0,
+                    ranges=ranges.astype(np.float32),
+                ),
+                ns,
+            ),
             Said("/heading", "std_msgs/msg/Float64", cdr("std_msgs/msg/Float64", data=v), ns),
-            Said("/ground_truth", "geometry_msgs/msg/PoseStamped", cdr(
-                "geometry_msgs/msg/PoseStamped", header=header(ns),
-                pose={"position": {"x": v}, "orientation": {"w": 1.0}}), ns),
-        ]  # fmt: skip
+            Said(
+                "/ground_truth",
+                "geometry_msgs/msg/PoseStamped",
+                cdr(
+                    "geometry_msgs/msg/PoseStamped",
+                    header=header(ns),
+                    pose={"position": {"x": v}, "orientation": {"w": 1.0}},
+                ),
+                ns,
+            ),
+        ]
     path = log_of(folder / "nan.mcap", said)
     with np.errstate(all="ignore"):  # as the program does for its user
         _, _, report = run(path, *GEOMETRY)

@@ -65,8 +65,11 @@ def test_geometry_comes_from_the_robot_description(tmp_path: Path) -> None:
     init(log, tmp_path / "robot.toml")
     wheels = tomllib.loads((tmp_path / "robot.toml").read_text())["wheels"]
     assert {k: wheels[k] for k in ("radius", "track", "left", "right")} == {
-        "radius": RADIUS, "track": TRACK, "left": "left_wheel", "right": "right_wheel"
-    }  # fmt: skip
+        "radius": RADIUS,
+        "track": TRACK,
+        "left": "left_wheel",
+        "right": "right_wheel",
+    }
     pose, _ = final(log, tmp_path / "out", "--robot", tmp_path / "robot.toml")
     assert turned(pose) == pytest.approx(turned(pose_of(angle)), abs=1e-6)
 

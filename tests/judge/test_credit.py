@@ -115,11 +115,13 @@ def test_without_every_subset_only_the_effect_alone_is_known_and_without_truth_n
 
 @pytest.mark.parametrize(
     ("sets", "beside", "words"),
-    [((("lrf",), ("compass", "lrf")), {"compass": ("lrf",), "lrf": None}, "Beside lrf: "),
-     (((), ("compass",), ("compass", "lrf")), {"compass": (), "lrf": ("compass",)}, "Alone: "),
-     (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two configurations differ by it alone"),
-     (((), ("compass",)), {"compass": ()}, "Alone: ")],
-)  # fmt: skip
+    [
+        ((("lrf",), ("compass", "lrf")), {"compass": ("lrf",), "lrf": None}, "Beside lrf: "),
+        (((), ("compass",), ("compass", "lrf")), {"compass": (), "lrf": ("compass",)}, "Alone: "),
+        (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two configurations differ by it alone"),
+        (((), ("compass",)), {"compass": ()}, "Alone: "),
+    ],
+)
 def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where_there_are_none(
     sets: tuple[tuple[str, ...], ...], beside: dict[str, tuple[str, ...] | None], words: str
 ) -> None:
@@ -248,10 +250,12 @@ def test_block_means_are_of_blocks_that_wrap_around_the_end(block: int) -> None:
 
 @pytest.mark.parametrize(
     ("q", "keep", "block"),
-    [(40, 1.0, 40),  # an error that stays: the drive is one block
-     (1000, 0.0, None),
-     (1000, 0.9, None)],
-)  # fmt: skip
+    [
+        (40, 1.0, 40),  # an error that stays: the drive is one block
+        (1000, 0.0, None),
+        (1000, 0.9, None),
+    ],
+)
 def test_blocks_are_twice_as_long_as_errors_last(q: int, keep: float, block: int | None) -> None:
     deviation = np.stack((colored(1, q, keep) if block is None else np.full((q, 2), 0.3), colored(2, q, 0.0)))
     found = Errors.of(deviation)

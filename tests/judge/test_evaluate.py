@@ -239,9 +239,16 @@ def test_readings_are_counted_by_their_verdicts_and_the_mean_nis_is_of_those_acc
     nis = np.array([1.0, 2.0, 6.0, 50.0, 60.0, 0.0, 0.0, 3.0])
     joint = np.array([[3.0, 4.0], [9.0, 6.0]])
     audit = Audit(
-        np.arange(n), np.arange(n), verdict, np.full(n, -1), nis, np.full(n, 9.2), np.zeros((n, 2)),
-        np.ones((n, 2)), joint,
-    )  # fmt: skip
+        np.arange(n),
+        np.arange(n),
+        verdict,
+        np.full(n, -1),
+        nis,
+        np.full(n, 9.2),
+        np.zeros((n, 2)),
+        np.ones((n, 2)),
+        joint,
+    )
     first, zeros = np.array([0, *range(9), 8]), np.zeros((8, 2))
     m = Measurements(np.arange(10.0), first, zeros, np.ones((8, 2, 2)), 1.0, np.zeros((2, 2)))
     found = evaluate(replace(estimates, audits={"lrf": audit}), replace(drive, measurements={"lrf": m})).sensors
@@ -319,9 +326,12 @@ WINDING = 0.8 * np.sin(0.4 * T) + 0.3 * np.cos(1.1 * T)
 
 @settings(max_examples=30, deadline=None)
 @given(
-    hz=st.floats(5.0, 250.0), noise=st.floats(0.0, 0.005), speed=st.floats(0.3, 1.5), seed=st.integers(0, 10**6),
-    heading=st.booleans()
-)  # fmt: skip
+    hz=st.floats(5.0, 250.0),
+    noise=st.floats(0.0, 0.005),
+    speed=st.floats(0.3, 1.5),
+    seed=st.integers(0, 10**6),
+    heading=st.booleans(),
+)
 def test_length_and_drift_are_true(hz: float, noise: float, speed: float, seed: int, heading: bool) -> None:
     """Oracle: the true path in steps of 1 ms, and the error of an odometry 15 % long that turns 2 % too far."""
     pose = driven(speed * STOPS * (1.0 + 0.3 * np.sin(0.9 * T)), WINDING)

@@ -19,13 +19,33 @@ from locfuse.fusion.sensors.registry import REGISTRY
 DEG = math.radians(1.0)
 # a compass of 3 degrees whose errors are white and as large as configured
 HEARD = ComparedReadings(
-    readings=400, outlier_share=0.0, bias=0.0, standard_error=0.1 * DEG, white=(3 * DEG) ** 2,
-    slow=0.0, spread=(3 * DEG) ** 2, memory=1.0, period=0.1, reference=(0.1 * DEG) ** 2, R=(3 * DEG) ** 2,
-)  # fmt: skip
+    readings=400,
+    outlier_share=0.0,
+    bias=0.0,
+    standard_error=0.1 * DEG,
+    white=(3 * DEG) ** 2,
+    slow=0.0,
+    spread=(3 * DEG) ** 2,
+    memory=1.0,
+    period=0.1,
+    reference=(0.1 * DEG) ** 2,
+    R=(3 * DEG) ** 2,
+)
 OWN = OwnInnovations(
-    compared=400, refused=0.0, nis=1.0, bounds=(0.9, 1.1), bias=(0.0,), middle=(0.0,), standard_error=(0.1 * DEG,),
-    whiteness=(0.0,) * 5, raw=1.0, scale=1.0, white=0.9, share=0.9, R=((3 * DEG) ** 2,),
-)  # fmt: skip
+    compared=400,
+    refused=0.0,
+    nis=1.0,
+    bounds=(0.9, 1.1),
+    bias=(0.0,),
+    middle=(0.0,),
+    standard_error=(0.1 * DEG,),
+    whiteness=(0.0,) * 5,
+    raw=1.0,
+    scale=1.0,
+    white=0.9,
+    share=0.9,
+    R=((3 * DEG) ** 2,),
+)
 
 
 def settings(sensor: str, **values: Any) -> Any:
@@ -34,15 +54,17 @@ def settings(sensor: str, **values: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("changed", "verdict", "scale"),
-    [({}, "consistent", 1.0),
-     ({"white": (6 * DEG) ** 2, "spread": (6 * DEG) ** 2}, "understated", 2.0),
-     ({"white": (1 * DEG) ** 2, "spread": (1 * DEG) ** 2}, "overstated", 1 / 3),
-     # the reference's own variance is taken off the spread, up to half of what is white
-     ({"white": 4.0, "spread": 4.0, "reference": 1.0, "R": 3.0, "slow": 0.0}, "consistent", 1.0),
-     ({"white": 4.0, "spread": 4.0, "reference": 3.0, "R": 2.0, "slow": 0.0}, "consistent", 1.0),
-     ({"white": 4.0, "spread": 9.0, "reference": 1.0, "R": 4.0, "slow": 0.0}, "consistent", 1.0),
-     ({"white": 1.0, "spread": 1.0, "reference": 1.9, "R": 0.5}, "consistent", 1.0)],
-)  # fmt: skip
+    [
+        ({}, "consistent", 1.0),
+        ({"white": (6 * DEG) ** 2, "spread": (6 * DEG) ** 2}, "understated", 2.0),
+        ({"white": (1 * DEG) ** 2, "spread": (1 * DEG) ** 2}, "overstated", 1 / 3),
+        # the reference's own variance is taken off the spread, up to half of what is white
+        ({"white": 4.0, "spread": 4.0, "reference": 1.0, "R": 3.0, "slow": 0.0}, "consistent", 1.0),
+        ({"white": 4.0, "spread": 4.0, "reference": 3.0, "R": 2.0, "slow": 0.0}, "consistent", 1.0),
+        ({"white": 4.0, "spread": 9.0, "reference": 1.0, "R": 4.0, "slow": 0.0}, "consistent", 1.0),
+        ({"white": 1.0, "spread": 1.0, "reference": 1.9, "R": 0.5}, "consistent", 1.0),
+    ],
+)
 def test_another_run_measures_the_noise(changed: dict[str, Any], verdict: str, scale: float) -> None:
     given = settings("compass", sigma_deg=3.0)
     found = present(consistency.by_reference_run("compass", given, HEARD._replace(**changed)))
@@ -69,13 +91,15 @@ def test_errors_that_last_matter_where_they_double_a_mean_s_error(repeats: float
 
 @pytest.mark.parametrize(
     ("verdict", "scale", "words"),
-    [("understated", 3.0, "its messages claim errors about 3 times smaller than they are"),
-     ("overstated", 0.25, "its messages claim errors about 4 times larger than they are"),
-     ("correlated", 2.0, "errors last longer than a reading, while its messages claim each to be independent"),
-     ("understated", float("inf"), "its messages claim errors that are far smaller than they are"),
-     ("consistent", 1.0, "as it was"),
-     ("understated", None, "as it was")],
-)  # fmt: skip
+    [
+        ("understated", 3.0, "its messages claim errors about 3 times smaller than they are"),
+        ("overstated", 0.25, "its messages claim errors about 4 times larger than they are"),
+        ("correlated", 2.0, "errors last longer than a reading, while its messages claim each to be independent"),
+        ("understated", float("inf"), "its messages claim errors that are far smaller than they are"),
+        ("consistent", 1.0, "as it was"),
+        ("understated", None, "as it was"),
+    ],
+)
 def test_sigmas_replace_the_noise_that_messages_bring(verdict: Any, scale: float | None, words: str) -> None:
     found = consistency.of_messages(
         consistency.Consistency(verdict, "as it was", scale, {"gps.sigma": 2.0}), "gps", {"sigma": 0.5}
@@ -153,12 +177,14 @@ def test_a_reference_is_a_run_of_other_sensors_the_most_certain_first(told: Told
 
 @pytest.mark.parametrize(
     ("own", "healthy"),
-    [(OWN_RUN._replace(scale=2.24), True),
-     (OWN_RUN._replace(scale=2.25), False),  # sigma understated by one and a half
-     (OWN_RUN._replace(refused=0.24), True),
-     (OWN_RUN._replace(refused=0.25), False),
-     (None, False)],
-)  # fmt: skip
+    [
+        (OWN_RUN._replace(scale=2.24), True),
+        (OWN_RUN._replace(scale=2.25), False),  # sigma understated by one and a half
+        (OWN_RUN._replace(refused=0.24), True),
+        (OWN_RUN._replace(refused=0.25), False),
+        (None, False),
+    ],
+)
 def test_a_run_understating_noise_is_no_reference(told: Told, own: OwnInnovations | None, healthy: bool) -> None:
     told.said = {"gyro+lrf: compass": FINE}
     evidence = consistency.NoiseEvidence([run("compass"), run("gyro+lrf", {"lrf": own})], ROBOT)
@@ -177,9 +203,13 @@ def test_of_three_sensors_two_outvote_one_and_of_two_nobody_knows(told: Told) ->
         assert flagged(told, said, "compass", "lrf") == (set(), {"compass", "lrf"})
     assert flagged(told, {"compass: lrf": FINE, "lrf: compass": FINE}, "compass", "lrf") == (set(), set())
     said = {
-        "lrf: compass": OFF, "lrf: gyro": FINE, "gyro: compass": OFF, "gyro: lrf": FINE,
-        "compass: lrf": OFF._replace(reference=0.001), "compass: gyro": OFF._replace(reference=0.001),
-    }  # fmt: skip
+        "lrf: compass": OFF,
+        "lrf: gyro": FINE,
+        "gyro: compass": OFF,
+        "gyro: lrf": FINE,
+        "compass: lrf": OFF._replace(reference=0.001),
+        "compass: gyro": OFF._replace(reference=0.001),
+    }
     assert flagged(told, said, *SENSORS) == ({"compass"}, set())
 
 
@@ -211,8 +241,9 @@ def test_its_own_run_is_the_one_with_the_fewest_others_that_are_healthy(told: To
     low, high = OWN_RUN._replace(scale=4.0), OWN_RUN._replace(scale=9.0)
     pair = run("compass+lrf", {"lrf": low})
     assert verdict_of(told, "compass", pair) == (
-        "unclear", "noise cannot be judged: the noise of lrf must be set first",
-    )  # fmt: skip
+        "unclear",
+        "noise cannot be judged: the noise of lrf must be set first",
+    )
     assert verdict_of(told, "compass", run("compass+lrf", {"compass": high, "lrf": low}))[0] == "understated"
     assert verdict_of(told, "lrf", pair)[0] == "understated"
     alone = run("compass", {"compass": high})

@@ -92,8 +92,11 @@ def test_the_fit_equals_scipy_on_the_ranges(wall: Wall, side: float | None) -> N
         s = sigma(x)
         solved = least_squares(
             lambda v, s=s: (rays.ranges - ranges(v[0], v[1], angle, ox, oy)) / s,
-            x, xtol=1e-15, ftol=1e-15, gtol=1e-15,
-        )  # fmt: skip
+            x,
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
         x = solved.x
     found = fit(rays, wall[0], wall[1], SIGMA_ANGLE / SIGMA_RANGE, steps=30)
     assert [found.r, found.psi] == pytest.approx(x.tolist(), abs=1e-8)

@@ -188,13 +188,15 @@ def two_lines(offset: float, turn: float, sigma: tuple[float, float], others: in
 
 @pytest.mark.parametrize(
     ("offset", "turn_deg", "sigma_deg", "sigma", "believed"),
-    [(0.01 * math.sqrt(4.9), 0.0, 1.0, 0.01, True),  # squared distance
-     (0.01 * math.sqrt(5.1), 0.0, 1.0, 0.01, False),
-     (0.0, 2.9, 2.0, 0.1, True),
-     (0.0, -3.1, 2.0, 0.1, False),
-     (0.145, 0.0, 1.0, 0.1, True),
-     (-0.155, 0.0, 1.0, 0.1, False)],
-)  # fmt: skip
+    [
+        (0.01 * math.sqrt(4.9), 0.0, 1.0, 0.01, True),  # squared distance
+        (0.01 * math.sqrt(5.1), 0.0, 1.0, 0.01, False),
+        (0.0, 2.9, 2.0, 0.1, True),
+        (0.0, -3.1, 2.0, 0.1, False),
+        (0.145, 0.0, 1.0, 0.1, True),
+        (-0.155, 0.0, 1.0, 0.1, False),
+    ],
+)
 def test_a_lone_line_is_believed_where_it_fits_nearly_perfectly(
     offset: float, turn_deg: float, sigma_deg: float, sigma: float, believed: bool
 ) -> None:

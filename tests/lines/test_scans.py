@@ -358,10 +358,13 @@ def measured(wheels: Wheels, base: Array) -> Lines:
     ranges = seen_from(se2.compose(base, MOUNT))
     n = len(ranges)
     scans = {
-        "ranges": ranges, "angle_min": np.full(n, ANGLES[0]), "angle_increment": np.full(n, ANGLES[1] - ANGLES[0]),
-        "range_min": np.zeros(n), "range_max": np.full(n, 100.0),
-        "time_increment": np.full(n, SWEEP / (BEAMS_A_SWEEP - 1))
-    }  # fmt: skip
+        "ranges": ranges,
+        "angle_min": np.full(n, ANGLES[0]),
+        "angle_increment": np.full(n, ANGLES[1] - ANGLES[0]),
+        "range_min": np.zeros(n),
+        "range_max": np.full(n, 100.0),
+        "time_increment": np.full(n, SWEEP / (BEAMS_A_SWEEP - 1)),
+    }
     laser = Laser(MOUNT, False, 1.0, 0.0, None, True, LineSettings(sigma_range=0.01))
     return lines_in_base(scans, np.full(n, 1.0 - 0.5 * SWEEP), laser, wheels)[0]
 
@@ -437,9 +440,13 @@ def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:
     wheels = Wheels.from_wheels(t, -0.5 * TRACK * t, 0.5 * TRACK * t, TRACK, 0.0)
     bearing, at = np.linspace(-1.5, 1.5, 301), np.arange(301) * 0.001  # rad; s since the stamp, of beam after beam
     scan = {
-        "angle_min": bearing[:1], "angle_increment": np.diff(bearing[:2]), "time_increment": np.array([0.001]),
-        "range_min": np.zeros(1), "range_max": np.full(1, 9.0), "ranges": np.full((1, 301), 2.0),
-    }  # fmt: skip
+        "angle_min": bearing[:1],
+        "angle_increment": np.diff(bearing[:2]),
+        "time_increment": np.array([0.001]),
+        "range_min": np.zeros(1),
+        "range_max": np.full(1, 9.0),
+        "ranges": np.full((1, 301), 2.0),
+    }
     for settings, order in ((LrfSettings(), np.s_[:]), (LrfSettings(sweep="backward"), np.s_[::-1])):
         (points,), middle = scans.points_in_base(scan, np.array([2.0]), laser_of(settings), wheels)
         np.testing.assert_allclose(middle, 2.15)

@@ -141,10 +141,21 @@ def test_the_first_echo_of_a_beam_counts_and_none_is_no_return(tmp_path: Path) -
     beams = [[1.5, 4.0], [], [2.5], [3.0, 3.5, 9.0]]
     rows = [beams, [[7.0], [8.0], [], []]]  # of another pattern
     said = [
-        Said("/laser", ECHOES, cdr(ECHOES, header=header(ns, "laser"), angle_min=-0.1, angle_increment=0.05,
-                                   range_max=30.0, ranges=[{"echoes": e} for e in row]), ns)
+        Said(
+            "/laser",
+            ECHOES,
+            cdr(
+                ECHOES,
+                header=header(ns, "laser"),
+                angle_min=-0.1,
+                angle_increment=0.05,
+                range_max=30.0,
+                ranges=[{"echoes": e} for e in row],
+            ),
+            ns,
+        )
         for ns, row in zip(stamps(2), rows, strict=True)
-    ]  # fmt: skip
+    ]
     log = open_log([write(tmp_path / "x.mcap", said)])
     columns: Any = log.stream("/laser:scan").columns("ranges", "angle_min")
     assert columns["ranges"][0].tolist() == [1.5, math.inf, 2.5, 3.0]

@@ -36,27 +36,51 @@ def parts(of: str) -> dict[str, Any]:
 
 POSE = {"type": "object", "properties": {"position": parts("xyz"), "orientation": parts("xyzw")}}
 TRANSFORM = {
-    "timestamp": TIME, "parent_frame_id": TEXT, "child_frame_id": TEXT, "translation": parts("xyz"),
+    "timestamp": TIME,
+    "parent_frame_id": TEXT,
+    "child_frame_id": TEXT,
+    "translation": parts("xyz"),
     "rotation": parts("xyzw"),
-}  # fmt: skip
+}
 SCHEMAS: dict[str, dict[str, Any]] = {
     "foxglove.LaserScan": {
-        "timestamp": TIME, "frame_id": TEXT, "pose": POSE, "start_angle": NUMBER, "end_angle": NUMBER,
-        "ranges": {"type": "array", "items": NUMBER}, "intensities": {"type": "array", "items": NUMBER},
+        "timestamp": TIME,
+        "frame_id": TEXT,
+        "pose": POSE,
+        "start_angle": NUMBER,
+        "end_angle": NUMBER,
+        "ranges": {"type": "array", "items": NUMBER},
+        "intensities": {"type": "array", "items": NUMBER},
     },
     "foxglove.Odometry": {
-        "timestamp": TIME, "frame_id": TEXT, "body_frame_id": TEXT, "pose": POSE, "linear_velocity": parts("xyz"),
-        "angular_velocity": parts("xyz"), "pose_covariance": NUMBERS, "velocity_covariance": NUMBERS,
+        "timestamp": TIME,
+        "frame_id": TEXT,
+        "body_frame_id": TEXT,
+        "pose": POSE,
+        "linear_velocity": parts("xyz"),
+        "angular_velocity": parts("xyz"),
+        "pose_covariance": NUMBERS,
+        "velocity_covariance": NUMBERS,
     },
     "foxglove.JointStates": {
         "timestamp": TIME,
-        "joints": {"type": "array", "items": {"type": "object", "properties": {
-            "name": TEXT, "position": NUMBER, "velocity": NUMBER, "effort": NUMBER}}},
+        "joints": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {"name": TEXT, "position": NUMBER, "velocity": NUMBER, "effort": NUMBER},
+            },
+        },
     },
     "foxglove.PointCloud": {
-        "timestamp": TIME, "frame_id": TEXT, "pose": POSE, "point_stride": WHOLE,
-        "fields": {"type": "array", "items": {"type": "object", "properties": {
-            "name": TEXT, "offset": WHOLE, "type": WHOLE}}},
+        "timestamp": TIME,
+        "frame_id": TEXT,
+        "pose": POSE,
+        "point_stride": WHOLE,
+        "fields": {
+            "type": "array",
+            "items": {"type": "object", "properties": {"name": TEXT, "offset": WHOLE, "type": WHOLE}},
+        },
         "data": {"type": "string", "contentEncoding": "base64"},
     },
     "foxglove.PoseInFrame": {"timestamp": TIME, "frame_id": TEXT, "pose": POSE},
@@ -64,7 +88,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     "foxglove.FrameTransforms": {
         "transforms": {"type": "array", "items": {"type": "object", "properties": TRANSFORM}}
     },
-}  # fmt: skip
+}
 Event = tuple[int, str, str, dict[str, Any]]
 
 
@@ -115,14 +139,26 @@ def poses(topic: str, frame: str) -> list[Event]:
 
 def edge(ns: int, parent: str, child: str, at: Sequence[float] | Array) -> dict[str, Any]:
     place = {"x": at[0], "y": at[1], "z": 0.2}
-    return {"timestamp": time(ns), "parent_frame_id": parent, "child_frame_id": child, "translation": place,
-            "rotation": quaternion(at[2])}  # fmt: skip
+    return {
+        "timestamp": time(ns),
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": place,
+        "rotation": quaternion(at[2]),
+    }
 
 
 def scan(ns: int, turn: float = 0.0) -> Event:
     pose = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": quaternion(turn)}
-    values = {"timestamp": time(ns), "frame_id": "laser", "pose": pose, "start_angle": -1.5, "end_angle": 1.5,
-              "ranges": [2.0 + 0.05 * i if i % 7 else None for i in range(31)], "intensities": []}  # fmt: skip
+    values = {
+        "timestamp": time(ns),
+        "frame_id": "laser",
+        "pose": pose,
+        "start_angle": -1.5,
+        "end_angle": 1.5,
+        "ranges": [2.0 + 0.05 * i if i % 7 else None for i in range(31)],
+        "intensities": [],
+    }
     return ns, "/scan", "foxglove.LaserScan", values
 
 
@@ -199,8 +235,10 @@ def test_joints_of_foxglove_are_wheels(written: Written, tmp_path: Path) -> None
     events: list[Event] = []
     for ns, t in zip(stamps(T), T.tolist(), strict=True):
         turns = [(SPEED + side * RATE * track / 2) * t / radius for side in (-1, 1)]
-        joints = [{"name": name, "position": at, "velocity": 0.0, "effort": 0.0}
-                  for name, at in zip(("left_wheel", "right_wheel"), turns, strict=True)]  # fmt: skip
+        joints = [
+            {"name": name, "position": at, "velocity": 0.0, "effort": 0.0}
+            for name, at in zip(("left_wheel", "right_wheel"), turns, strict=True)
+        ]
         events.append((ns, "/joints", "foxglove.JointStates", {"timestamp": time(ns), "joints": joints}))
     log = written(tmp_path / "x.mcap", events)
     robot = make_robot({"wheels": {"radius": radius, "track": track}})
@@ -221,11 +259,13 @@ def test_a_cloud_of_foxglove_is_turned_and_moved_by_its_pose_and_sliced(written:
         packed[axis] = np.concatenate((level, low))[:, k]
     kinds = zip(("i", "x", "y", "z"), (0, 2, 6, 10), (4, 7, 7, 8), strict=True)
     values = {
-        "timestamp": time(stamps(T)[0]), "frame_id": "lidar", "point_stride": 20,
+        "timestamp": time(stamps(T)[0]),
+        "frame_id": "lidar",
+        "point_stride": 20,
         "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.01}, "orientation": quaternion(math.pi / 2)},
         "fields": [{"name": name, "offset": at, "type": kind} for name, at, kind in kinds],
         "data": base64.b64encode(packed.tobytes()).decode(),
-    }  # fmt: skip
+    }
     log = written(
         tmp_path / "x.mcap", [(stamps(T)[0] + k, "/lidar", "foxglove.PointCloud", values) for k in range(5)]
     )

@@ -13,7 +13,6 @@ from rosbags.typesys import Stores, get_typestore
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of, stamps
 
 from locfuse.formats.logs.log import open_log
-from locfuse.fusion.data import LocfuseError
 
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
 RANGE = "sensor_msgs/msg/Range"
@@ -87,10 +86,3 @@ def test_ranges_of_every_ros_release_are_read_in_bags_without_definitions(releas
     np.testing.assert_array_equal(values["range"], 0.5 + 0.25 * np.arange(8))
     np.testing.assert_array_equal(values["max_range"], np.full(8, 4.0))
     assert dict(stream.dropped) == {}
-
-
-def test_a_topic_that_is_not_there_is_no_number_either(tmp_path: Path) -> None:
-    log = open_log([log_with_vector(tmp_path / "x.mcap")])
-    assert log.find("/nowhere:a.b") is None
-    with pytest.raises(LocfuseError, match="has no topic /nowhere"):
-        log.stream("/nowhere:a.b").columns("data")

@@ -56,9 +56,9 @@ def test_a_feedback_of_four_motors_is_none_of_two_wheels(tmp_path: Path) -> None
     kind = "clearpath_platform_msgs/msg/Feedback"
     text = "std_msgs/Header header\nclearpath_platform_msgs/DriveFeedback[] drivers\n"
     rows = [{"drivers": [{"measured_travel": t}] * 4} for t in T.tolist()]
-    log = open_log([
-        custom(tmp_path / "x.mcap", "/feedback", kind, text + DRIVERS.format("clearpath_platform_msgs"), T, rows)
-    ])  # fmt: skip
+    log = open_log(
+        [custom(tmp_path / "x.mcap", "/feedback", kind, text + DRIVERS.format("clearpath_platform_msgs"), T, rows)]
+    )
     assert log.find("/feedback:joints") is not None
     stream = log.stream("/feedback:joints")
     with pytest.raises(LocfuseError, match="named like the left wheel"):

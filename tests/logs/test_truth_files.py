@@ -85,31 +85,32 @@ def test_a_file_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_pa
     assert says in refusal
 
 
+TURN = np.linspace(0.0, 5.5, 200)
+
+
 @pytest.mark.parametrize(
-    ("unit", "words"), [(1.0, ""), (180.0 / np.pi, "theta reaches 315: it looks like degrees")]
+    ("name", "head", "row", "words"),
+    [
+        ("t.csv", "t,x,y,theta\n", "{t!r},{x!r},{y!r},{t!r}", ""),
+        ("t.csv", "t,x,y,theta\n", "{t!r},{x!r},{y!r},{degrees!r}", "theta reaches 315: it looks like degrees"),
+        ("t.tum", "", "{t} 1 2 0 0 0 {s} {c}", ""),
+        ("t.tum", "", "{t} 1 2 0 {c} 0 0 {s}", "qw seems to come first"),
+    ],
 )
-def test_headings_in_degrees_are_refused(unit: float, words: str, tmp_path: Path) -> None:
-    path, turn = tmp_path / "truth.csv", np.linspace(0.0, 5.5, 200)
-    rows = zip(turn, np.sin(turn), -np.cos(turn), turn * unit, strict=True)
-    path.write_text("t,x,y,theta\n" + "".join(",".join(map(repr, map(float, row))) + "\n" for row in rows))
+def test_headings_in_degrees_and_quaternions_that_begin_with_qw_are_refused(
+    tmp_path: Path, name: str, head: str, row: str, words: str
+) -> None:
+    places = [
+        {"t": t, "s": math.sin(t / 2), "c": math.cos(t / 2), "x": math.sin(t), "y": -math.cos(t)}
+        | {"degrees": math.degrees(t)}
+        for t in TURN.tolist()
+    ]
+    text = head + "".join(row.format(**place) + "\n" for place in places)
     if words:
         with pytest.raises(LocfuseError, match=words):
-            read_file(str(path))
+            streamed(tmp_path / name, text)
     else:
-        assert len(read_file(str(path)).t_ns) == len(turn)
-
-
-def test_quaternions_that_begin_with_qw_are_refused(tmp_path: Path) -> None:
-    path, turn = tmp_path / "truth.tum", np.linspace(0.0, 5.0, 50)
-    for order, words in (("{t} 1 2 0 0 0 {s} {c}", ""), ("{t} 1 2 0 {c} 0 0 {s}", "qw seems to come first")):
-        half = 0.5 * turn
-        lines = (order.format(t=t, s=np.sin(h), c=np.cos(h)) for t, h in zip(turn, half, strict=True))
-        path.write_text("\n".join(lines) + "\n")
-        if words:
-            with pytest.raises(LocfuseError, match=words):
-                read_file(str(path))
-        else:
-            assert len(read_file(str(path)).t_ns) == len(turn)
+        assert len(streamed(tmp_path / name, text).t_ns) == len(TURN)
 
 
 def test_a_tum_of_another_clock_is_refused_and_the_offset_that_it_names_fits(
@@ -187,17 +188,15 @@ def test_of_what_gazebo_simulates_the_model_that_moves_is_the_robot(tmp_path: Pa
 
 
 @pytest.mark.parametrize(("bends", "w"), [(0.2, 1.0), (0.2, 0.0), (0.0, 1.0)])
-def test_one_heading_for_a_path_that_bends_is_none(tmp_path: Path, bends: float, w: float) -> None:
-    x = np.linspace(0.0, 2.0, 20).tolist()
+def test_one_heading_for_a_path_that_bends_is_none_and_one_turned_on_the_robot_is_set_right(
+    tmp_path: Path, bends: float, w: float
+) -> None:
+    x, head = np.linspace(0.0, 2.0, 20).tolist(), "t,x,y,z,qx,qy,qz,qw\n"
     rows = "".join(f"{i},{v},{bends * v * v},0,0,0,0,{w}\n" for i, v in enumerate(x))
-    truth, _ = read_truth(streamed(tmp_path / "t.csv", f"t,x,y,z,qx,qy,qz,qw\n{rows}"), TruthSettings(), 0)
+    truth, _ = read_truth(streamed(tmp_path / "t.csv", head + rows), TruthSettings(), 0)
     assert (truth.theta is None) == bool(bends)
-
-
-def test_the_heading_of_a_tracked_body_that_is_turned_on_the_robot_is_set_right(tmp_path: Path) -> None:
     rows = "".join(f"{i},{i},0,0,0,0,{math.sin(0.05 * i)},{math.cos(0.05 * i)}\n" for i in range(9))
-    stream = streamed(tmp_path / "t.csv", f"t,x,y,z,qx,qy,qz,qw\n{rows}")
-    truth, _ = read_truth(stream, TruthSettings(yaw_deg=90.0), 0)
+    truth, _ = read_truth(streamed(tmp_path / "t.csv", head + rows), TruthSettings(yaw_deg=90.0), 0)
     np.testing.assert_allclose(present(truth.theta), 0.1 * np.arange(9) - 0.5 * math.pi, atol=1e-9)
 
 

@@ -57,16 +57,16 @@ def test_the_file_holds_points_on_the_walls() -> None:
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [("walls", "is not a line map"),
-     ('{"format": "other", "version": 1, "lines": []}', "is not a line map"),
-     ('{"format": "locfuse line map", "versi\\non": 1, "lines": []}', "is not a line map"),
-     ('{"format": "locfuse line map", "version": 9, "lines": []}', "version 9"),
-     (OURS % "", "no lines"),
-     (OURS % '{"id": 1, "from": [1, 1], "to": [1, 1]}', "no length"),
-     (
-         OURS % '{"id": 1, "from": [1, 1], "to": [2, 1], "covariance": [[-1, 0], [0, 1]]}', "not symmetric"
-     )],
-)  # fmt: skip
+    [
+        ("walls", "is not a line map"),
+        ('{"format": "other", "version": 1, "lines": []}', "is not a line map"),
+        ('{"format": "locfuse line map", "versi\\non": 1, "lines": []}', "is not a line map"),
+        ('{"format": "locfuse line map", "version": 9, "lines": []}', "version 9"),
+        (OURS % "", "no lines"),
+        (OURS % '{"id": 1, "from": [1, 1], "to": [1, 1]}', "no length"),
+        (OURS % '{"id": 1, "from": [1, 1], "to": [2, 1], "covariance": [[-1, 0], [0, 1]]}', "not symmetric"),
+    ],
+)
 def test_what_is_no_map_is_refused_in_one_line(text: str, says: str) -> None:
     with pytest.raises(LocfuseError, match=says) as problem:
         line_map.decode(text, "map.json")

@@ -169,11 +169,13 @@ def test_a_wall_that_was_seen_in_two_stretches_reaches_over_both() -> None:
 
 @pytest.mark.parametrize(
     ("second", "why"),
-    [((3.2, 0.0, 0.0, 0.02), "ten standard deviations away"),
-     ((3.0, 0.0, math.pi, 0.02), "the other face of a thin wall"),
-     ((3.0, 4.0, 0.0, 0.02), "a gap of two metres: a door"),
-     ((3.3, 0.0, 0.0, 1.0), "further than any double, however vague")],
-)  # fmt: skip
+    [
+        ((3.2, 0.0, 0.0, 0.02), "ten standard deviations away"),
+        ((3.0, 0.0, math.pi, 0.02), "the other face of a thin wall"),
+        ((3.0, 4.0, 0.0, 0.02), "a gap of two metres: a door"),
+        ((3.3, 0.0, 0.0, 1.0), "further than any double, however vague"),
+    ],
+)
 def test_two_walls_stay_two(second: tuple[float, float, float, float], why: str) -> None:
     lines, belief = a_map((3.0, 0.0, 0.0, 0.005), second)
     before = belief.covariance.copy()

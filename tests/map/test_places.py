@@ -195,10 +195,12 @@ def test_the_noise_of_a_line_seen_from_the_base_is_that_of_finite_differences() 
     turned = 0
     for k in range(40):
         side = from_base(z[k], mount)[2]
-        J = np.column_stack([
-            (np.array(from_base(z[k] + d, mount, side)) - from_base(z[k] - d, mount, side))[:2] / 2e-6
-            for d in 1e-6 * np.eye(2)
-        ])  # fmt: skip
+        J = np.column_stack(
+            [
+                (np.array(from_base(z[k] + d, mount, side)) - from_base(z[k] - d, mount, side))[:2] / 2e-6
+                for d in 1e-6 * np.eye(2)
+            ]
+        )
         np.testing.assert_allclose([[out[k, 2], out[k, 3]], [out[k, 3], out[k, 4]]], J @ R[k] @ J.T, atol=1e-9)
         np.testing.assert_allclose(G[k], J @ shared[k], atol=1e-9)
         turned += side < 0.0

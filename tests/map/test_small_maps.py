@@ -225,9 +225,11 @@ FAR = np.array((30.0, 0.0, 30.0, 0.0))
 L_SHAPED = ((0, 0, 8, 0), (8, 0, 8, 4), (8, 4, 6, 4), (6, 4, 6, 6), (6, 6, 0, 6), (0, 6, 0, 0))
 # two rooms that nobody takes for one another, nor for themselves turned round, 30 m apart
 ROOMS = (
-    *L_SHAPED, (3, 0, 3, 1), (0, 3.5, 1.2, 3.5),
-    *(tuple(np.array(w) + FAR) for w in ((0, 0, 6, 0), (6, 0, 6, 9), (6, 9, 0, 9), (0, 9, 0, 0), (0, 6, 1.5, 6)))
-)  # fmt: skip
+    *L_SHAPED,
+    (3, 0, 3, 1),
+    (0, 3.5, 1.2, 3.5),
+    *(tuple(np.array(w) + FAR) for w in ((0, 0, 6, 0), (6, 0, 6, 9), (6, 9, 0, 9), (0, 9, 0, 0), (0, 6, 1.5, 6))),
+)
 
 
 class Visiting(World):

@@ -181,29 +181,6 @@ def test_garbage_never_raises_and_never_differs_from_rosbags_where_both_read_it(
     assert n_read > 500
 
 
-def test_a_sequence_of_four_billion_is_refused_at_once() -> None:
-    bad = bytearray(scan(0, beams=1))
-    at = bytes(bad).index(struct.pack("<If", 1, 1.0))
-    bad[at : at + 4] = b"\xff\xff\xff\xff"
-    assert decode(scan_decoder(), [bytes(bad)], ["ranges"]).bad == {"shorter than its type": 1}
-
-
-def test_fields_inside_arrays_of_structures_are_ragged_columns() -> None:
-    kind = "tf2_msgs/msg/TFMessage"
-    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
-    moves = [
-        [
-            {"header": header(i, "odom"), "child_frame_id": f"f{k}", "transform": {"translation": {"x": k}}}
-            for k in range(i)
-        ]
-        for i in (2, 0, 3)
-    ]
-    decoded = decode(decoder, [cdr(kind, transforms=move) for move in moves], paths(decoder.message))
-    assert decoded.columns["transforms.child_frame_id"] == [("f0", "f1"), (), ("f0", "f1", "f2")]
-    x = decoded.columns["transforms.transform.translation.x"]
-    assert [list(row) for row in rows(x)] == [[0, 1], [], [0, 1, 2]]
-
-
 IDL = """================================================================================
 IDL: t/msg/Pair
 #include "builtin_interfaces/msg/Time.idl"

@@ -222,23 +222,6 @@ def test_structures_in_arrays_in_arrays_are_end_to_end() -> None:
     assert plain(found["a.row.length"]) == [[2, 0, 0, 0], [], []]
 
 
-@pytest.mark.parametrize(
-    ("value", "numbers"),
-    [
-        ([1, None, 2], [1.0, math.nan, 2.0]),
-        ([1, "x"], [1.0, math.nan]),
-        ([[1, 2], [3]], [math.nan] * 2),
-        ([[1], [2]], [math.nan] * 2),
-        ([10**400, 1], [math.nan, 1.0]),
-        ([], []),
-        ("12", []),
-        (3, []),
-    ],
-)
-def test_an_array_has_a_number_or_nan_for_every_value(value: Any, numbers: list[float]) -> None:
-    np.testing.assert_equal(decoded(record(a={"type": "array", "items": NUMBER}), {"a": value})["a"], [numbers])
-
-
 def test_what_is_no_object_is_counted() -> None:
     decoder = JsonDecoder(record(a=NUMBER))
     data = np.frombuffer(b'{"a": 1}[]{}', np.uint8)

@@ -58,11 +58,19 @@ def test_robots_inside_logs_and_those_that_init_and_run_write_are_valid(tmp_path
 
 @pytest.mark.parametrize(
     "tables",
-    [{"wheels": {"radus": 0.1}}, {"wheels": {"radius": "0.1"}}, {"wheels": {"mirrored": "up"}},
-     {"start": {"sigma_xy": -1.0}}, {"lrf": {"map": "growing"}}, {"compass": {"hard_iron": [1.0]}},
-     {"order": "random"}, {"lidar": {}}, {"lrf": 3}],
+    [
+        {"wheels": {"radus": 0.1}},
+        {"wheels": {"radius": "0.1"}},
+        {"wheels": {"mirrored": "up"}},
+        {"start": {"sigma_xy": -1.0}},
+        {"lrf": {"map": "growing"}},
+        {"compass": {"hard_iron": [1.0]}},
+        {"order": "random"},
+        {"lidar": {}},
+        {"lrf": 3},
+    ],
     ids=str,
-)  # fmt: skip
+)
 def test_what_the_reader_refuses_the_schema_refuses_too(tables: dict[str, Any]) -> None:
     with pytest.raises(LocfuseError):
         make_robot(tables)

@@ -75,13 +75,25 @@ def test_a_sample_log_is_named_and_every_choice_is_in_the_command(tmp_path: Path
 
 def test_every_number_of_robot_toml_has_a_unit_or_is_known_to_have_none() -> None:
     none = {
-        "wheels.ratio", "wheels.scale", "wheels.turn_scale", "wheels.servo_offset",
-        "wheels.sigma_scale", "wheels.sigma_track", "compass.field_tolerance", "compass.soft_iron",
-        "lrf.range_scale", "lrf.min_points", "camera.red_ratio", "camera.min_slender", "gyro.sigma_scale",
-        "landmarks.ignore", "gyro.scale",
+        "wheels.ratio",
+        "wheels.scale",
+        "wheels.turn_scale",
+        "wheels.servo_offset",
+        "wheels.sigma_scale",
+        "wheels.sigma_track",
+        "compass.field_tolerance",
+        "compass.soft_iron",
+        "lrf.range_scale",
+        "lrf.min_points",
+        "camera.red_ratio",
+        "camera.min_slender",
+        "gyro.sigma_scale",
+        "landmarks.ignore",
+        "gyro.scale",
         "ranges.ignore",
-        "landmarks.range_depth", "twist.sigma_scale",
-    }  # fmt: skip
+        "landmarks.range_depth",
+        "twist.sigma_scale",
+    }
     for table, kind in table_types().items():
         for field in msgspec.structs.fields(kind):
             path = f"{table}.{field.encode_name}"

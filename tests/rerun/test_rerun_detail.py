@@ -18,7 +18,7 @@ from locfuse.formats.geometry import ellipses, extremes, segments, wall_band, wa
 from locfuse.formats.rerun import drawing as style
 from locfuse.formats.rerun.blueprint import ticked
 from locfuse.formats.rerun.drawing import STATES, reading_states, thinned_states
-from locfuse.formats.rerun.recording import save_recording, unfolded
+from locfuse.formats.rerun.recording import save_recording
 from locfuse.formats.rerun.scene import REJECTED, RawTopic, RerunScene, SensorLook
 from locfuse.fusion.data import (
     VERDICTS,
@@ -149,13 +149,6 @@ def test_a_stretch_of_states_that_is_drawn_as_one_shows_its_worst() -> None:
     at = int(np.flatnonzero(codes == names.index("rejected"))[0])
     assert reading[at] <= 7321 < reading[at + 1]
     assert len(thinned_states(np.zeros(10_000, int), 100)[1]) == 10_000  # no change, nothing to thin
-
-
-@pytest.mark.parametrize("tag", ["<details>", "</details>", "<summary>"])
-def test_the_viewer_gets_markdown_without_tags(tag: str) -> None:
-    table = unfolded("a\n\n<details><summary>More</summary>\n\n| b |\n</details>\n")
-    assert tag not in table
-    assert "### More" in table
 
 
 # --- thinning keeps what one looks for; geometry is held to closed forms and to se2

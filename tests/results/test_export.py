@@ -143,8 +143,9 @@ def test_the_logs_own_messages_are_copied_with_bytes_and_times(ran: Path) -> Non
     original, copied = raw(sample_logs.path(LOG)), raw(ran / "estimates.mcap")
     assert original <= copied
     assert {topic for topic, *_ in copied - original} == {
-        "/tf", *(f"/locfuse/{t}" for t in ("all/odometry", "all/path", "truth/pose", "truth/path"))
-    }  # fmt: skip
+        "/tf",
+        *(f"/locfuse/{t}" for t in ("all/odometry", "all/path", "truth/pose", "truth/path")),
+    }
 
 
 def test_a_copy_of_the_log_runs_to_the_same_trajectory(ran: Path, tmp_path: Path) -> None:
@@ -288,9 +289,10 @@ def test_without_truth_or_with_a_smoothed_estimate(tmp_path: Path, word: str, es
 
 
 @pytest.mark.parametrize(
-    "clock", [lambda n, ns, first: 2 if n % 6 == 0 else ns, lambda n, ns, first: max(ns - first - S, 0)],
+    "clock",
+    [lambda n, ns, first: 2 if n % 6 == 0 else ns, lambda n, ns, first: max(ns - first - S, 0)],
     ids=["a sixth at log time 2", "from zero a second after the stamps"],
-)  # fmt: skip
+)
 def test_a_recording_clock_below_zero_is_written_as_zero(clock: Callable[..., int], tmp_path: Path) -> None:
     seen: list[int] = []
 

@@ -63,30 +63,38 @@ def test_every_input_finds_its_table_and_the_rest_is_said(tmp_path: Path) -> Non
     assert "frequency" not in said
 
 
-def test_ros_1_files_have_no_node_and_a_namespace_may_stand_before_a_topic(tmp_path: Path) -> None:
-    body = f"odom0: gps/odometry\nodom0_config: {switches(0, 1)}\nodom1: /odom\nodom1_config: {switches(6, 11)}\n"
+ODOM = f"odom0: /odom\nodom0_config: {switches(6)}\n"
+NODE = "{}:\n  ros__parameters:\n    odom0: /odom\n    odom0_config: " + switches(6) + "\n"
+FILES: dict[str, tuple[str, dict[str, dict[str, object]], str]] = {
+    "of ROS 1, without a node, a namespace before a topic": (
+        f"odom0: gps/odometry\nodom0_config: {switches(0, 1)}\nodom1: /odom\nodom1_config: {switches(6, 11)}\n",
+        {"wheels": {"topic": "/robot/gps/odometry"}, "twist": {"topic": "/odom"}},
+        "",
+    ),
+    "a topic that the log lacks": (
+        ODOM.replace("/odom\n", "/wheel_odom\n") + ODOM.replace("odom0", "odom1"),
+        {"wheels": {"topic": "/odom"}},
+        "odom0: this log has no topic /wheel_odom",
+    ),
+    "points without yaw need the map": (
+        f"{ODOM}pose0: /amcl_pose\npose0_config: {switches(0, 1)}\n",
+        {"wheels": {"topic": "/odom"}, "pose": {"topic": "/amcl_pose", "frame": "map", "heading": False}},
+        "pose0: without yaw",
+    ),
+    "of two filters the first": (
+        NODE.format("ekf_odom") + NODE.format("ekf_map"),
+        {"wheels": {"topic": "/odom"}},
+        "ekf_map: only ekf_odom is read",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", FILES)
+def test_a_file_becomes_tables_and_a_note(what: str, tmp_path: Path) -> None:
+    body, tables, note = FILES[what]
     found = read(written(tmp_path, body), TOPICS)
-    assert found.tables == {"wheels": {"topic": "/robot/gps/odometry"}, "twist": {"topic": "/odom"}}
-
-
-def test_a_topic_that_the_log_lacks_is_said(tmp_path: Path) -> None:
-    body = f"odom0: /wheel_odom\nodom0_config: {switches(6)}\nodom1: /odom\nodom1_config: {switches(6)}\n"
-    found = read(written(tmp_path, body), TOPICS)
-    assert found.tables == {"wheels": {"topic": "/odom"}}
-    assert found.notes == ("odom0: this log has no topic /wheel_odom",)
-
-
-def test_points_without_yaw_need_the_map(tmp_path: Path) -> None:
-    body = f"odom0: /odom\nodom0_config: {switches(6)}\npose0: /amcl_pose\npose0_config: {switches(0, 1)}\n"
-    found = read(written(tmp_path, body), TOPICS)
-    assert found.tables["pose"] == {"topic": "/amcl_pose", "frame": "map", "heading": False}
-    assert "pose0: without yaw" in found.notes[0]
-
-
-def test_of_two_filters_the_first_is_read(tmp_path: Path) -> None:
-    node = "{}:\n  ros__parameters:\n    odom0: /odom\n    odom0_config: " + switches(6) + "\n"
-    found = read(written(tmp_path, node.format("ekf_odom") + node.format("ekf_map")), TOPICS)
-    assert found.notes == ("ekf_map: only ekf_odom is read",)
+    assert found.tables == tables
+    assert note in "\n".join(found.notes)
 
 
 @pytest.mark.parametrize(

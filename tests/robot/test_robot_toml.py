@@ -3,9 +3,8 @@
 import time
 import tomllib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from commands import refused
@@ -13,60 +12,38 @@ from hostile import write
 from hypothesis import given, strategies as st
 from present import present
 
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.caps import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML, MAX_TRANSFORMS
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import updated
-from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, layered, merge, parse
+from locfuse.formats.robot.robot_toml import apply_sets, dump, layered, merge, parse
 from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, Transform, planar_mount, static_transforms
 from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion.data import LocfuseError, Ragged, UsageError
 
 
-class Wheels(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    radius: float | None = None
-    track: float | None = None
-    left: str = "left"
-    ticks_per_revolution: int | None = None
-    limits: tuple[float, ...] = ()
-
-
-class Laser(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    topic: str | None = None
-    map: Literal["grow", "first-scan"] = "grow"
-    gate: float = 0.999
-
-
-TYPES = {"wheels": Wheels, "lrf": Laser, "order": Literal["auto", "stamp", "recorded"]}
-
-
 def test_tables_become_settings_and_top_level_values_too() -> None:
-    tables = parse(
-        'order = "stamp"\n[wheels]\nradius = 0.033\ntrack = 1\n[lrf]\nmap = "first-scan"\n', "robot.toml"
-    )
-    assert convert(tables, TYPES) == {
-        "order": "stamp",
-        "wheels": Wheels(radius=0.033, track=1.0),
-        "lrf": Laser(map="first-scan"),
-    }
+    robot = make_robot(parse('order = "stamp"\n[wheels]\nradius = 0.033\ntrack = 1\n', "robot.toml"))
+    assert (robot.order, robot.wheels.radius, robot.wheels.track) == ("stamp", 0.033, 1.0)
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("[wheels]\ntrak = 0.2", "unknown key wheels.trak; did you mean track?"),
-        ("[wheels]\nzzz = 0.2", "unknown key wheels.zzz; known: radius, track, left"),
+        ("[compass]\nzzz = 0.2", "unknown key compass.zzz; known: topic"),
         ("[wheel]\nradius = 1", "unknown table or key wheel; did you mean wheels?"),
         ("wheels = 3", "wheels = 3: wheels is a table"),
         ('[wheels]\nradius = "big"', "wheels.radius = 'big': must be a number, in metres"),
-        ("[wheels]\nticks_per_revolution = 1.5", "wheels.ticks_per_revolution = 1.5: must be a whole number"),
-        ('[wheels]\nlimits = [1, "x"]', r"wheels.limits\[1\] = 'x': must be a number"),
-        ('[lrf]\nmap = "shrink"', "lrf.map = 'shrink': choose from 'grow', 'first-scan'"),
-        ('order = "sideways"', "order = 'sideways': invalid enum value"),
+        ("[wheels]\nticks_per_revolution = [1]", r"wheels.ticks_per_revolution = \[1\]: must be a"),
+        ('[gps]\norigin = [1, "x"]', r"gps.origin.1\] = 'x': must be a number"),
+        ('[lrf]\nmap = "shrink"', "lrf.map = 'shrink': choose from "),
+        ('order = "sideways"', "order = 'sideways'; choose from auto, stamp, recorded"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_key_and_the_nearest_known_one(text: str, says: str) -> None:
     with pytest.raises(LocfuseError, match=says) as raised:
-        convert(parse(text, "robot.toml"), TYPES)
+        make_robot(parse(text, "robot.toml"))
     assert "\n" not in str(raised.value)
     assert raised.value.exit_code == 1
 

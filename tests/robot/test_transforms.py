@@ -156,9 +156,13 @@ def test_two_real_publishers_contradict_on_21_frames_but_not_on_the_laser() -> N
 
 @pytest.mark.parametrize(
     ("field", "values"),
-    [("transforms.child_frame_id", ("a", "b")), ("transforms.child_frame_id", ()),
-     ("transforms.transform.translation.x", (1.0, 2.0)), ("transforms.transform.rotation.w", ())],
-)  # fmt: skip
+    [
+        ("transforms.child_frame_id", ("a", "b")),
+        ("transforms.child_frame_id", ()),
+        ("transforms.transform.translation.x", (1.0, 2.0)),
+        ("transforms.transform.rotation.w", ()),
+    ],
+)
 def test_a_definition_that_holds_several_values_for_each_transform_is_refused_by_name(
     field: str, values: tuple[Any, ...]
 ) -> None:
@@ -185,12 +189,6 @@ WHEEL = '<link name="lw"><{}><geometry>{}</geometry></{}></link>'
 
 def robot(*parts: str, left: str = AT.format(0.2), right: str = AT.format(-0.1)) -> str:
     return f"<robot>{LEFT.format(left)}{RIGHT.format(right)}{''.join(parts)}</robot>"
-
-
-def test_the_track_is_the_distance_of_the_two_joints_and_the_names_are_theirs() -> None:
-    found = present(wheel_geometry(robot()))
-    assert (found.left, found.right, found.radius) == ("left_wheel", "right_wheel", None)
-    assert found.track == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("rpy", [(0.3, -0.2, 1.1), (math.pi / 2, 0.0, 0.0), (0.0, math.pi / 2, 0.5)])

@@ -212,8 +212,12 @@ def test_a_sonar_errs_by_its_sigma_about_the_nearest_echo_or_says_infinity() -> 
     residual = (measured - (3.0 - 0.25 * math.cos(math.radians(6)))) / 0.02
     assert agrees(residual)
     scenario = Scenario(room=EMPTY, landmark=HIGH)
-    ranger = Ranger(SonarSpec(name="front", x=0.2), World(scenario), standing(scenario, (2.0, 3.0, 0.0)),
-                    np.random.default_rng(9))  # fmt: skip
+    ranger = Ranger(
+        SonarSpec(name="front", x=0.2),
+        World(scenario),
+        standing(scenario, (2.0, 3.0, 0.0)),
+        np.random.default_rng(9),
+    )
     assert ranger.read(0.05)["range"] == math.inf
 
 

@@ -267,6 +267,7 @@ def test_sources_of_chance_are_independent_of_each_other() -> None:
         ("[lrf]\nrate = 0", "expected `float` > 0.0 - at `lrf.rate`"),
         ("[lrf]\nrate = 'fast'", "expected `float`, got `str` - at `lrf.rate`"),
         ("[lrf\n", "is not TOML"),
+        ("\xff\xfe\x00", "cannot be read as a scenario"),
         ("base = 'rounded_rectangel'", "did you mean rounded_rectangle?"),
         ("base = 'hall'\n[building]\nspaces = [{name = 'a', aera = [0, 0, 1, 1]}]", "did you mean area?"),
         ("base = 'hall'\n[building]\npeople = [{path = [[1, 2]]}]", "at least two points"),
@@ -282,18 +283,11 @@ def test_sources_of_chance_are_independent_of_each_other() -> None:
 )
 def test_a_scenario_that_does_not_fit_is_refused_by_its_key(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text(text)
+    file.write_bytes(text.encode("latin-1"))
     with pytest.raises(LocfuseError) as error:
         load.load(str(file))
     assert message in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_scenario_that_is_not_text_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(LocfuseError, match="cannot be read as a scenario"):
-        load.load(str(file))
 
 
 def test_settings_take_toml_values_or_plain_text_and_reach_defaults() -> None:
@@ -326,13 +320,10 @@ def test_a_file_beats_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert load.load("tour").title == "mine, all mine"
 
 
-def test_list_names_every_scenario_with_its_title() -> None:
+def test_list_names_every_scenario_and_show_prints_a_complete_one(tmp_path: Path) -> None:
     lines = run("--list").output.splitlines()
     assert [line.split()[0] for line in lines] == load.names()
     assert all(len(line.split()) > 3 for line in lines)
-
-
-def test_show_prints_a_complete_scenario(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(run("disturbed", "--show", "--set", "lrf.rate=5").output)
     scenario = load.load(str(file))

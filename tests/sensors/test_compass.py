@@ -36,9 +36,14 @@ def measured(s: ArrayStream, **settings: Any) -> Measurements:
 
 @pytest.mark.parametrize(
     ("convention", "value", "theta"),  # compass: north is +y and east +x
-    [("enu_rad", 0.3, 0.3), ("enu_deg", 30.0, math.radians(30)), ("compass_deg", 0.0, math.pi / 2),
-     ("compass_deg", 90.0, 0.0), ("compass_rad", math.pi, -math.pi / 2)],
-)  # fmt: skip
+    [
+        ("enu_rad", 0.3, 0.3),
+        ("enu_deg", 30.0, math.radians(30)),
+        ("compass_deg", 0.0, math.pi / 2),
+        ("compass_deg", 90.0, 0.0),
+        ("compass_rad", math.pi, -math.pi / 2),
+    ],
+)
 def test_heading_numbers_follow_their_convention(convention: str, value: float, theta: float) -> None:
     m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, value)}), convention=convention)
     np.testing.assert_allclose(m.z[:, 0], theta, atol=1e-12)
@@ -201,9 +206,12 @@ def test_the_error_that_iron_makes_is_its_closed_form_for_a_small_hard_iron() ->
 
 @pytest.mark.parametrize(
     ("angles", "says"),
-    [(np.linspace(0.0, math.pi, 300), "of 360 degrees"), (np.zeros(300), "does not change"),
-     (np.linspace(0.0, math.tau, 20), "at least 50")],
-)  # fmt: skip
+    [
+        (np.linspace(0.0, math.pi, 300), "of 360 degrees"),
+        (np.zeros(300), "does not change"),
+        (np.linspace(0.0, math.tau, 20), "at least 50"),
+    ],
+)
 def test_what_shows_too_little_of_the_circle_is_refused(angles: Array, says: str) -> None:
     with pytest.raises(LocfuseError, match=says):
         fit_iron(field((1e-6, 0.0), (1.0, 1.0, 0.0), angles))

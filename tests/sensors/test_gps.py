@@ -33,10 +33,15 @@ def described_by(gps: dict[str, Any], noise: float = 4e-4, start: tuple[float, f
 
 
 def drive_of(
-    seed: int, gps: dict[str, Any] | None = None, east_deg: float = 70.0, length: float = 300.0,
-    start: tuple[float, float, float] = START, antenna: tuple[float, float] = (0.0, 0.0), noise: float = 4e-4,
-    columns: dict[str, Any] | None = None
-) -> tuple[Drive, Robot, Array]:  # fmt: skip
+    seed: int,
+    gps: dict[str, Any] | None = None,
+    east_deg: float = 70.0,
+    length: float = 300.0,
+    start: tuple[float, float, float] = START,
+    antenna: tuple[float, float] = (0.0, 0.0),
+    noise: float = 4e-4,
+    columns: dict[str, Any] | None = None,
+) -> tuple[Drive, Robot, Array]:
     """A wide loop with drifting wheels, a fix a second, and the true poses at the fixes."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, length / 1.0, 0.1)
@@ -53,9 +58,13 @@ def drive_of(
 
 
 def fixes_of(
-    t: Array, pose: Array, east_deg: float, antenna: tuple[float, float], rng: np.random.Generator,
-    columns: dict[str, Any]
-) -> ArrayStream:  # fmt: skip
+    t: Array,
+    pose: Array,
+    east_deg: float,
+    antenna: tuple[float, float],
+    rng: np.random.Generator,
+    columns: dict[str, Any],
+) -> ArrayStream:
     """Latitude and longitude by the local radii of the ellipsoid: another way than the product's."""
     seen = se2.transform(pose, np.broadcast_to(antenna, (len(t), 2)))
     x, y = (column + SIGMA * rng.normal(size=len(t)) for column in seen.T)
@@ -178,10 +187,13 @@ STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5
 
 def measured(columns: dict[str, Any], n: int = 4, **settings: Any) -> Measurements:
     given: dict[str, Any] = {
-        "status.status": np.zeros(n, np.int8), "latitude": np.full(n, ORIGIN[0]),
-        "longitude": np.full(n, ORIGIN[1]), "position_covariance": np.zeros((n, 9)),
-        "position_covariance_type": np.full(n, 2, np.uint8), **columns
-    }  # fmt: skip
+        "status.status": np.zeros(n, np.int8),
+        "latitude": np.full(n, ORIGIN[0]),
+        "longitude": np.full(n, ORIGIN[1]),
+        "position_covariance": np.zeros((n, 9)),
+        "position_covariance_type": np.full(n, 2, np.uint8),
+        **columns,
+    }
     stream = ArrayStream("/fix", "sensor_msgs/msg/NavSatFix", T0 + np.arange(n) * 10**9, given)
     return Gps().measure(stream, GpsSettings(**settings), STILL, T0)
 
@@ -202,9 +214,12 @@ def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:
 
 @pytest.mark.parametrize(
     ("place", "words"),
-    [(ORIGIN[::-1], "exchanged"), (tuple(np.radians(ORIGIN)), "in radians"),
-     ((10.0, 10.0), "km from gps.origin.")],
-)  # fmt: skip
+    [
+        (ORIGIN[::-1], "exchanged"),
+        (tuple(np.radians(ORIGIN)), "in radians"),
+        ((10.0, 10.0), "km from gps.origin."),
+    ],
+)
 def test_fixes_far_from_the_origin_of_the_map_are_refused(place: tuple[float, float], words: str) -> None:
     on_map(np.array([ORIGIN]) + 0.5, ORIGIN, "gps")
     with pytest.raises(LocfuseError, match=words):

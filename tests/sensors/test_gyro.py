@@ -47,9 +47,14 @@ def wheels(
 
 
 def imu(
-    t: Array, theta: Array, rng: np.random.Generator, bias: float = 0.0, walk: float = 0.0,
-    mount: Array | None = None, **columns: Any
-) -> ArrayStream:  # fmt: skip
+    t: Array,
+    theta: Array,
+    rng: np.random.Generator,
+    bias: float = 0.0,
+    walk: float = 0.0,
+    mount: Array | None = None,
+    **columns: Any,
+) -> ArrayStream:
     """Rates whose trapezoids are the true turns, plus a bias [rad/s] and white noise [rad/sqrt(s)]."""
     turn = np.diff(theta) / np.diff(t)
     rate = np.concatenate((turn[:1], turn))
@@ -259,10 +264,22 @@ def test_a_rest_measures_the_bias_as_a_scalar_filter_takes_it() -> None:
 
 @pytest.mark.parametrize(
     ("factor", "says"),
-    [(1.0, None), (1.8, None), (0.56, None), (2.3, "2.3 times"), (0.4, "0.4 times"), (3.0, "check wheels"),
-     (150.0, "check wheels"), (25.0, "check wheels"), (100.0, "in degrees"), (35.0, "in degrees"),
-     (-1.0, "upside-down"), (-0.3, "upside-down"), (0.0, "never turns")],
-)  # fmt: skip
+    [
+        (1.0, None),
+        (1.8, None),
+        (0.56, None),
+        (2.3, "2.3 times"),
+        (0.4, "0.4 times"),
+        (3.0, "check wheels"),
+        (150.0, "check wheels"),
+        (25.0, "check wheels"),
+        (100.0, "in degrees"),
+        (35.0, "in degrees"),
+        (-1.0, "upside-down"),
+        (-0.3, "upside-down"),
+        (0.0, "never turns"),
+    ],
+)
 def test_a_gyro_that_turns_by_another_factor_is_refused_with_a_reason(factor: float, says: str | None) -> None:
     t = np.arange(0.0, 20.0, 0.1)
     turning = 0.4 * np.sin(1.3 * t)

@@ -31,9 +31,15 @@ SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
 
 
 def written(
-    folder: Path, share: float = 0.0, more: str = "", seed: int = 1, depth: bool = False, late: float = 0.0,
-    seconds: float = 60.0, places: Any = MAP,
-) -> tuple[Path, Path]:  # fmt: skip
+    folder: Path,
+    share: float = 0.0,
+    more: str = "",
+    seed: int = 1,
+    depth: bool = False,
+    late: float = 0.0,
+    seconds: float = 60.0,
+    places: Any = MAP,
+) -> tuple[Path, Path]:
     """Write a log whose wheels slip by a share of every turn, detections of the true path, a map and the truth.
 
     `depth`: a camera that sees 60 degrees to either side and says depths; `late`: s by which the robot follows.
@@ -133,13 +139,16 @@ def test_ids_without_an_entry_and_two_tags_of_one_id_are_counted_and_the_rest_is
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [("id,x,y\n6,1,2\n6,2,3\n", "id 6 occurs twice (lines 2 and 3)"), ("id,x\n6,1\n", "names no column y"),
-     ("id,x,y\nsix,1,2\n", "line 2 is not id, x, y: 'six,1,2'"),
-     ("id,x,y\n6,nan,2\n", "x and y must be finite"),
-     ("id,x,y\n6,1,2\n7,1e300,2\n", "line 3: a landmark stands somewhere: x and y must be finite"),
-     ("id,x,y\n", "holds no landmarks"),
-     (f"id,x,y\n{'1' * 200_000},2,3\n", "line 2: no .csv: field larger than field limit")],
-)  # fmt: skip
+    [
+        ("id,x,y\n6,1,2\n6,2,3\n", "id 6 occurs twice (lines 2 and 3)"),
+        ("id,x\n6,1\n", "names no column y"),
+        ("id,x,y\nsix,1,2\n", "line 2 is not id, x, y: 'six,1,2'"),
+        ("id,x,y\n6,nan,2\n", "x and y must be finite"),
+        ("id,x,y\n6,1,2\n7,1e300,2\n", "line 3: a landmark stands somewhere: x and y must be finite"),
+        ("id,x,y\n", "holds no landmarks"),
+        (f"id,x,y\n{'1' * 200_000},2,3\n", "line 2: no .csv: field larger than field limit"),
+    ],
+)
 def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "landmarks.csv"
     path.write_text(text)
@@ -151,10 +160,12 @@ def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_pat
 
 @pytest.mark.parametrize(
     ("keys", "says"),
-    [(("landmarks.file=nowhere.csv", "landmarks.map=landmarks.csv"), "no such file: nowhere.csv"),
-     (("landmarks.file=detections.csv", "landmarks.map=nowhere.csv"), "no such file: nowhere.csv"),
-     (("landmarks.file=detections.csv", 'landmarks.map={ "99" = [0.0, 1.0] }'), "the map has 99")],
-)  # fmt: skip
+    [
+        (("landmarks.file=nowhere.csv", "landmarks.map=landmarks.csv"), "no such file: nowhere.csv"),
+        (("landmarks.file=detections.csv", "landmarks.map=nowhere.csv"), "no such file: nowhere.csv"),
+        (("landmarks.file=detections.csv", 'landmarks.map={ "99" = [0.0, 1.0] }'), "the map has 99"),
+    ],
+)
 def test_what_is_missing_is_said_in_one_line(
     keys: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,14 +270,16 @@ def with_robot(log: Path, folder: Path, lines: str) -> Path:
 
 @pytest.mark.parametrize(
     ("lines", "key", "file"),
-    [("[landmarks]\nfile = '{}/detections.csv'", "landmarks.file", "detections.csv"),
-     ("[landmarks]\nfile = '../detections.csv'", "landmarks.file", "detections.csv"),
-     ("[landmarks]\nfile = '~/detections.csv'", "landmarks.file", "detections.csv"),
-     ("[landmarks]\nfile = 'link/detections.csv'", "landmarks.file", "detections.csv"),
-     ('[landmarks]\nfile = "\\u0000.csv"', "landmarks.file", "detections.csv"),
-     ("[landmarks]\nmap = '{}/landmarks.csv'", "landmarks.map", "landmarks.csv"),
-     ("[truth]\ntopic = '{}/truth.csv'", "truth.topic", "truth.csv")],
-)  # fmt: skip
+    [
+        ("[landmarks]\nfile = '{}/detections.csv'", "landmarks.file", "detections.csv"),
+        ("[landmarks]\nfile = '../detections.csv'", "landmarks.file", "detections.csv"),
+        ("[landmarks]\nfile = '~/detections.csv'", "landmarks.file", "detections.csv"),
+        ("[landmarks]\nfile = 'link/detections.csv'", "landmarks.file", "detections.csv"),
+        ('[landmarks]\nfile = "\\u0000.csv"', "landmarks.file", "detections.csv"),
+        ("[landmarks]\nmap = '{}/landmarks.csv'", "landmarks.map", "landmarks.csv"),
+        ("[truth]\ntopic = '{}/truth.csv'", "truth.topic", "truth.csv"),
+    ],
+)
 def test_a_log_names_no_file_outside_its_own_folder(tmp_path: Path, lines: str, key: str, file: str) -> None:
     log = with_robot(written(tmp_path, seconds=10.0)[0], tmp_path / "sent", lines.replace("{}", str(tmp_path)))
     (tmp_path / "sent" / "link").symlink_to(tmp_path, target_is_directory=True)
@@ -302,9 +315,16 @@ def moved(poses: Array) -> Array:
 
 
 def by_ranges(
-    folder: Path, *words: str, seed: int = 1, anchors: Any = ANCHORS, far: float = 0.0, turns: bool = True,
-    code: int = 0, seconds: float = 60.0, times: float = 1.0,
-) -> tuple[dict[str, Any], str]:  # fmt: skip
+    folder: Path,
+    *words: str,
+    seed: int = 1,
+    anchors: Any = ANCHORS,
+    far: float = 0.0,
+    turns: bool = True,
+    code: int = 0,
+    seconds: float = 60.0,
+    times: float = 1.0,
+) -> tuple[dict[str, Any], str]:
     """Compare a log with its truth, ranges to one anchor every 0.1 s and a map.
 
     `far`: share of ranges that come 1.5 m too long, by way of a wall. All are written `times` as long.
@@ -344,9 +364,11 @@ def test_over_many_drives_the_error_is_as_large_as_the_covariance_says(tmp_path:
 
 @pytest.mark.parametrize(
     ("times", "words"),
-    [(1000.0, "times as much as the robot moves: they look like mm. Write metres"),
-     (0.01, "as far apart as the ranges allow: it looks like cm. Write metres")],
-)  # fmt: skip
+    [
+        (1000.0, "times as much as the robot moves: they look like mm. Write metres"),
+        (0.01, "as far apart as the ranges allow: it looks like cm. Write metres"),
+    ],
+)
 def test_ranges_or_a_map_in_another_unit_are_refused(tmp_path: Path, times: float, words: str) -> None:
     rows, stderr = by_ranges(tmp_path, times=times, code=3, seconds=25.0)
     assert "ranges" not in rows
@@ -407,9 +429,12 @@ def test_any_message_with_an_id_and_a_range_can_be_read(tmp_path: Path, text: st
 
 @pytest.mark.parametrize(
     ("fields", "words"),
-    [("id,nothing", "nothing"), ("id,header.frame_id", "header.frame_id is a text, not a number"),
-     ("id,dis,id", "one field, or those of id and range")],
-)  # fmt: skip
+    [
+        ("id,nothing", "nothing"),
+        ("id,header.frame_id", "header.frame_id is a text, not a number"),
+        ("id,dis,id", "one field, or those of id and range"),
+    ],
+)
 def test_fields_that_are_no_ids_and_ranges_are_one_line(tmp_path: Path, fields: str, words: str) -> None:
     rows: list[dict[str, Any]] = [{"id": 1, "dis": 1.0}]
     log = package.open_log(custom(tmp_path / "c.mcap", "/uwb", "my_msgs/msg/Uwb", ONE, np.zeros(1), rows))

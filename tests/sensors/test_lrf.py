@@ -30,9 +30,14 @@ from locfuse.sample_logs.simulate import in_memory
 
 # two walls 0.2 m apart, seen one after the other through a doorway in a cross wall
 PARALLEL = (
-    *ROOM, (2.0, 0.0, 2.0, 2.4), (2.0, 3.6, 2.0, 6.0), (3.0, 2.0, 7.5, 2.0), (3.2, 1.8, 7.3, 1.8),
-    (3.0, 4.4, 7.5, 4.4), (3.0, 4.6, 7.5, 4.6)
-)  # fmt: skip
+    *ROOM,
+    (2.0, 0.0, 2.0, 2.4),
+    (2.0, 3.6, 2.0, 6.0),
+    (3.0, 2.0, 7.5, 2.0),
+    (3.2, 1.8, 7.3, 1.8),
+    (3.0, 4.4, 7.5, 4.4),
+    (3.0, 4.6, 7.5, 4.6),
+)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -40,9 +45,14 @@ PARALLEL = (
 def test_past_parallel_walls_and_through_a_doorway_no_line_is_matched_wrongly(mode: str, seed: int) -> None:
     """Drive from (0.6, 3) through the doorway at x = 2 between double walls; every match is checked in truth."""
     world = World(
-        seconds=18.0, turning=0.0, start=(0.6, 3.0, 0.0), walls=PARALLEL, seed=seed,
-        settings={"lrf": {"map": mode}}, mount=(0.0, 0.0, 0.0)
-    )  # fmt: skip
+        seconds=18.0,
+        turning=0.0,
+        start=(0.6, 3.0, 0.0),
+        walls=PARALLEL,
+        seed=seed,
+        settings={"lrf": {"map": mode}},
+        mount=(0.0, 0.0, 0.0),
+    )
     drive, robot = world.measured()
     found = fuse(drive, robot, ["lrf"])
     audit, lrf = found.audits["lrf"], drive.measurements["lrf"]
@@ -223,9 +233,11 @@ def tour(seed: int) -> tuple[Drive, Robot]:
     mounts = {f"/sonar/{s.name}": [s.x, s.y, s.yaw_deg] for s in scenario.sonar}
     robot = make_robot({**tables, "sonar": {"mounts": mounts, "sigma": 0.02}})
     roles = {
-        "wheels": streams["/joint_states"], "truth": streams["/ground_truth/pose"], "lrf": streams["/scan"],
-        "sonar": merged([streams[topic] for topic in mounts])
-    }  # fmt: skip
+        "wheels": streams["/joint_states"],
+        "truth": streams["/ground_truth/pose"],
+        "lrf": streams["/scan"],
+        "sonar": merged([streams[topic] for topic in mounts]),
+    }
     return measure(roles, robot), robot
 
 

@@ -256,10 +256,12 @@ def test_a_frame_that_is_not_the_map_is_named(log: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [((f"pose.topic={trap_logs.TRUTH}",), f"{trap_logs.TRUTH} is read as truth already: it would judge itself"),
-     (("pose.topic=/scan",), "/scan is sensor_msgs/msg/LaserScan; accepted: nav_msgs/Odometry"),
-     ((f"pose.topic={SLAM}", "pose.sigma=0"), "sigma = 0.0: no sensor is exact")],
-)  # fmt: skip
+    [
+        ((f"pose.topic={trap_logs.TRUTH}",), f"{trap_logs.TRUTH} is read as truth already: it would judge itself"),
+        (("pose.topic=/scan",), "/scan is sensor_msgs/msg/LaserScan; accepted: nav_msgs/Odometry"),
+        ((f"pose.topic={SLAM}", "pose.sigma=0"), "sigma = 0.0: no sensor is exact"),
+    ],
+)
 def test_what_cannot_be_is_one_line(log: Path, words: tuple[str, ...], said: str) -> None:
     assert said in refused("run", log, *(w for word in words for w in ("--set", word)), code=None)
 

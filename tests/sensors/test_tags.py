@@ -93,9 +93,13 @@ def april(rng: np.random.Generator) -> Make:
 
 
 def written(
-    folder: Path, kind: str, make: Make, cameras: Mapping[str, Array] = ONE, noise: float = METRE,
-    with_info: bool = True
-) -> tuple[Path, Path]:  # fmt: skip
+    folder: Path,
+    kind: str,
+    make: Make,
+    cameras: Mapping[str, Array] = ONE,
+    noise: float = METRE,
+    with_info: bool = True,
+) -> tuple[Path, Path]:
     """A drive whose wheels slip past tags that cameras see; the log and the truth."""
     t, counted, true = slipping()
     said, rng = joint_states(t, counted), np.random.default_rng(1)
@@ -305,11 +309,13 @@ def release(results: str, centre: str, tracked: bool) -> Any:
     store = get_typestore(Stores.ROS2_HUMBLE)
     own = "string id\n" if tracked else ""
     types = {
-        "ObjectHypothesis": HYPOTHESIS, "ObjectHypothesisWithPose": results, "Point2D": "float64 x\nfloat64 y\n",
+        "ObjectHypothesis": HYPOTHESIS,
+        "ObjectHypothesisWithPose": results,
+        "Point2D": "float64 x\nfloat64 y\n",
         "Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
         "BoundingBox2D": f"{centre}float64 size_x\nfloat64 size_y\n",
-        "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n"
-    }  # fmt: skip
+        "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    }
     for d in (2, 3):
         found = f"{HEAD}vision_msgs/ObjectHypothesisWithPose[] results\n"
         types[f"Detection{d}D"] = f"{found}vision_msgs/BoundingBox{d}D bbox\n{own}"

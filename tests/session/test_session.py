@@ -19,6 +19,7 @@ from many_logs import LIGHT, THERE_AND_BACK, write_logs
 import locfuse
 from locfuse.cli.analysis import load
 from locfuse.cli.session.python_words import in_python, in_tools
+from locfuse.formats.report import notebook
 from locfuse.fusion.camera import detect
 from locfuse.fusion.fuse import BLOCK_INSTANTS
 from locfuse.fusion.lines.scans import lines_in_base
@@ -170,8 +171,11 @@ def test_a_result_has_the_shapes_of_the_page_and_says_what_it_is_of(compared: lo
     assert len(e.audits["lrf"].nis) > 1000
     e = compared.estimates["compass+lrf@2Hz-smoothed"]
     assert (e.configuration, e.smoothed, e.sensors, e.rates) == (
-        "compass+lrf@2Hz", True, ("compass", "lrf"), {"lrf": 2.0},
-    )  # fmt: skip
+        "compass+lrf@2Hz",
+        True,
+        ("compass", "lrf"),
+        {"lrf": 2.0},
+    )
     row = compared.report["configurations"][e.name]
     assert (row["configuration"], row["smoothed"], row["rates_hz"]) == ("compass+lrf@2Hz", True, {"lrf": 2.0})
     assert compared.report["schema_version"] == 1
@@ -194,19 +198,24 @@ def test_the_table_is_that_of_the_csv_and_what_is_printed_one_short_line(
     assert "no truth" in repr(locfuse.load(LOG, between=(None, TO), sets={"truth.topic": "none"}))
 
 
-def test_a_notebook_shows_verdicts_and_the_main_table_without_markup_of_a_log(
-    compared: locfuse.Comparison,
+def test_a_notebook_shows_verdicts_table_and_paths_without_markup_of_a_log(
+    compared: locfuse.Comparison, session: locfuse.Session
 ) -> None:
     page = compared._repr_html_()
     words = re.split("<[^>]*>", page)
     assert f"lrf {compared.verdicts['lrf']['verdict']}." in words
     assert f"{1000.0 * compared.report['configurations']['lrf']['position_rmse_m']:.1f}" in words
     assert page.count("<tr") == 1 + len(compared.estimates)
-    from locfuse.formats.report import notebook
-
     evil = "<script>alert(1)</script>"
     report = {**compared.report, "verdicts": {"lrf": {"verdict": "helps", "words": evil}}}
     assert "<script" not in notebook.render(report)
+    run = session.run("compass", advice=False)
+    shown = run._repr_html_()
+    assert "<table" in shown
+    (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', shown)
+    assert b"<title>compass</title>" in base64.b64decode(picture)
+    run.report["headline"] = "<b>0</b>"
+    assert "<b>0</b>" not in run._repr_html_()
 
 
 def test_step_by_step_gives_a_session_s_numbers(session: locfuse.Session, compared: locfuse.Comparison) -> None:
@@ -383,16 +392,6 @@ def test_plot_without_matplotlib_is_the_figure(three: locfuse.Comparison, monkey
     assert svg.count("<svg") == svg.count("</svg>") == svg.count("<style>") == 1
 
 
-def test_a_notebook_shows_headline_findings_and_the_paths_of_a_run_too(session: locfuse.Session) -> None:
-    run = session.run("compass", advice=False)
-    shown = run._repr_html_()
-    assert "<table" in shown
-    (picture,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', shown)
-    assert b"<title>compass</title>" in base64.b64decode(picture)
-    run.report["headline"] = "<b>0</b>"
-    assert "<b>0</b>" not in run._repr_html_()
-
-
 @pytest.mark.parametrize(
     ("typed", "spoken"),
     [
@@ -411,7 +410,7 @@ def test_a_notebook_shows_headline_findings_and_the_paths_of_a_run_too(session: 
         ),
         ("2 -- 3 of log--7.mcap", "2 -- 3 of log--7.mcap"),
     ],
-)  # fmt: skip
+)
 def test_options_become_keywords(typed: str, spoken: str) -> None:
     assert in_python(typed) == spoken
     assert in_python(spoken) == spoken

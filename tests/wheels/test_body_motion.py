@@ -237,24 +237,65 @@ LOGS: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], str, float]] = { 
     "TwistStamped": (lambda p: log_of(p, speeds("/v")), (), "", 1e-9),
     "TwistWithCovarianceStamped": (lambda p: log_of(p, speeds("/v", wrap=2)), (), "", 1e-9),
     "wheel speeds": (wheel_speeds, GEOMETRY, "it gives speeds and no angles: they are integrated", 1e-9),
-    "poses": (lambda p: log_of(p, *(poses_in("map", T, CIRCLE, topic) for topic in GOALS)), (),
-              ESTIMATED.format("/slam/pose"), 1e-9),
-    "frames": (lambda p: log_of(p, tf(T, CIRCLE, parent="world", child="turtle1")), (),
-               ESTIMATED.format("/tf:world:turtle1"), 1e-9),
-    "odometry in the map": (lambda p: log_of(p, odometry(T, CIRCLE, "/carla/odometry", "world")), (),
-                            ESTIMATED.format("/carla/odometry"), 1e-9),
-    "duckietown": (package("duckietown_msgs/msg/Twist2DStamped", "/duck/cmd", "v omega", [SPEED, RATE]),
-                   ("--set", "wheels.topic=/duck/cmd"), "", 1e-3),
-    "autoware": (package("autoware_vehicle_msgs/msg/VelocityReport", "/vehicle/status/velocity_status",
-                         "longitudinal_velocity lateral_velocity heading_rate", [SPEED, 0.0, RATE]), (), "", 1e-3),
-    "turtlesim": (package("turtlesim/msg/Pose", "/turtle1/pose", "x y theta linear_velocity angular_velocity",
-                          TURTLE_POSES), (), "", 1e-3),
-    "create": (package("irobot_create_msgs/msg/WheelVels", "/wheel_vels", "velocity_left velocity_right", SIDES),
-               GEOMETRY, "", 1e-3),
-    "ackermann": (package(ACKERMANN, "/drive", "steering_angle steering_angle_velocity speed acceleration jerk",
-                          [math.atan(RATE * 0.33 / SPEED), 0.0, SPEED, 0.0, 0.0]),
-                  ("--set", "wheels.wheelbase=0.33"), "", 1e-3),
-}  # fmt: skip
+    "poses": (
+        lambda p: log_of(p, *(poses_in("map", T, CIRCLE, topic) for topic in GOALS)),
+        (),
+        ESTIMATED.format("/slam/pose"),
+        1e-9,
+    ),
+    "frames": (
+        lambda p: log_of(p, tf(T, CIRCLE, parent="world", child="turtle1")),
+        (),
+        ESTIMATED.format("/tf:world:turtle1"),
+        1e-9,
+    ),
+    "odometry in the map": (
+        lambda p: log_of(p, odometry(T, CIRCLE, "/carla/odometry", "world")),
+        (),
+        ESTIMATED.format("/carla/odometry"),
+        1e-9,
+    ),
+    "duckietown": (
+        package("duckietown_msgs/msg/Twist2DStamped", "/duck/cmd", "v omega", [SPEED, RATE]),
+        ("--set", "wheels.topic=/duck/cmd"),
+        "",
+        1e-3,
+    ),
+    "autoware": (
+        package(
+            "autoware_vehicle_msgs/msg/VelocityReport",
+            "/vehicle/status/velocity_status",
+            "longitudinal_velocity lateral_velocity heading_rate",
+            [SPEED, 0.0, RATE],
+        ),
+        (),
+        "",
+        1e-3,
+    ),
+    "turtlesim": (
+        package("turtlesim/msg/Pose", "/turtle1/pose", "x y theta linear_velocity angular_velocity", TURTLE_POSES),
+        (),
+        "",
+        1e-3,
+    ),
+    "create": (
+        package("irobot_create_msgs/msg/WheelVels", "/wheel_vels", "velocity_left velocity_right", SIDES),
+        GEOMETRY,
+        "",
+        1e-3,
+    ),
+    "ackermann": (
+        package(
+            ACKERMANN,
+            "/drive",
+            "steering_angle steering_angle_velocity speed acceleration jerk",
+            [math.atan(RATE * 0.33 / SPEED), 0.0, SPEED, 0.0, 0.0],
+        ),
+        ("--set", "wheels.wheelbase=0.33"),
+        "",
+        1e-3,
+    ),
+}
 
 
 @pytest.mark.parametrize("kind", LOGS)

@@ -45,9 +45,13 @@ TURNS = [("turn", math.tau * sign) for _ in range(6) for sign in (1, -1)]
 
 
 def legs(
-    seed: int, plan: list[tuple[str, float]], k: float = K, errors: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    truth_noise: tuple[float, float] = (0.0, 0.0), heading: bool = True
-) -> Drive:  # fmt: skip
+    seed: int,
+    plan: list[tuple[str, float]],
+    k: float = K,
+    errors: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    truth_noise: tuple[float, float] = (0.0, 0.0),
+    heading: bool = True,
+) -> Drive:
     """A drive of straight runs and turns at 0.3 m/s with pauses: truth at 50 Hz, what the wheels say beside it.
 
     `errors` are relative, of the left radius, the right radius and the track that the wheels are computed with.

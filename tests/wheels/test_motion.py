@@ -351,7 +351,9 @@ def test_where_notes_differ_in_numbers_those_of_every_configuration_and_stream_a
     }
     log = ["lrf: 0.05 s late (3%)", "compass: 0.12 s late (3%)", "3 readings share a stamp"]
     assert notes_of({"notes": log, "configurations": runs}) == [
-        "lrf, compass: 0.05 (compass: 0.12) s late (3%)", "3 readings share a stamp",
+        "lrf, compass: 0.05 (compass: 0.12) s late (3%)",
+        "3 readings share a stamp",
         "lrf: 9 (all: 8) submaps, 19 (lrf@2Hz, all: 5) revisited places",
-        "lrf: 29 slips (the same in lrf@2Hz, all)", "lrf: 30 (lrf@2Hz: 4) slips"
-    ]  # fmt: skip
+        "lrf: 29 slips (the same in lrf@2Hz, all)",
+        "lrf: 30 (lrf@2Hz: 4) slips",
+    ]

@@ -113,11 +113,17 @@ Case = tuple[Callable[[], list[list[Said]]], str, tuple[str, ...] | None]
 BY_SCANS: dict[str, Case] = {  # messages, the topic that is taken, and words of the only note; None: of any number
     "it agrees": (lambda: [odometry(T, TRUTH), seen()], "/odom", ()),
     "a mirror image: the laser hangs": (lambda: [odometry(T, TRUTH * (1.0, -1.0, -1.0)), seen()], "/odom", None),
-    "another motion": (lambda: [odometry(T, OTHER_WAY), seen()], "/scan",
-                       ("/scan is used: /odom is not how the robot moved: by it", "by matching the scans")),
+    "another motion": (
+        lambda: [odometry(T, OTHER_WAY), seen()],
+        "/scan",
+        ("/scan is used: /odom is not how the robot moved: by it", "by matching the scans"),
+    ),
     "centimetres": (lambda: [odometry(T, CM), seen()], "/scan", (IN_CM,)),
-    "one of two": (lambda: [odometry(T, TRUTH, "/odom1"), odometry(T, TRUTH * (-1.0, 2.5, 1.0), "/odom2"), seen()],
-                   "/odom1", None),
+    "one of two": (
+        lambda: [odometry(T, TRUTH, "/odom1"), odometry(T, TRUTH * (-1.0, 2.5, 1.0), "/odom2"), seen()],
+        "/odom1",
+        None,
+    ),
     "it never moves": (lambda: [odometry(T, 0.0 * TRUTH), seen()], "/scan", ("/odom",)),
     "it ends half-way": (lambda: [odometry(T[:20], TRUTH[:20]), seen()], "/scan", ("/odom",)),
     "at rest": (lambda: [odometry(T, 0.0 * TRUTH), seen(0.0 * TRUTH)], "/odom", None),
@@ -126,7 +132,7 @@ BY_SCANS: dict[str, Case] = {  # messages, the topic that is taken, and words of
     "twists of any kind": (lambda: [COMMANDED, IN_ROOM, seen()], "/scan", ("/controller_output_linear", "/speed")),
     "a twist alone": (lambda: [IN_ROOM], "/speed", None),
     "poses of other things": (lambda: [poses_in(f, T, TRUTH, p) for p, f in POSES.items()], "/slam/pose", None),
-}  # fmt: skip
+}
 
 
 def assert_taken(choice: Choice, topic: str, words: tuple[str, ...] | None) -> None:
@@ -167,10 +173,12 @@ def test_a_laser_that_freezes_for_some_time_does_not_judge_a_motion_there() -> N
 
 @pytest.mark.parametrize(
     ("topic", "frame", "words"),
-    [("/mavros/setpoint_position/local", "map", "holds poses that were asked for"),
-     ("/arm_controller/target", "map", "holds poses that were asked for"),
-     ("/aruco_single/pose", "camera_color_frame", "of something that a camera sees")],
-)  # fmt: skip
+    [
+        ("/mavros/setpoint_position/local", "map", "holds poses that were asked for"),
+        ("/arm_controller/target", "map", "holds poses that were asked for"),
+        ("/aruco_single/pose", "camera_color_frame", "of something that a camera sees"),
+    ],
+)
 def test_poses_not_the_robots_void_every_figure(topic: str, frame: str, words: str, tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", poses_in(frame, T, TRUTH, topic))
     done = reported("compare", log, code=3)
@@ -226,10 +234,16 @@ def test_what_no_robot_drives_is_no_motion_and_a_mecanum_or_a_fast_car_is_one() 
 
 @pytest.mark.parametrize(
     ("bag", "topic"),
-    [("strangers/controller_twist.bag", "/scan"), ("strangers/pimouse.bag", "/odom"),
-     ("strangers/odometry_in_tf.bag", "/tf:odom:base_footprint"), ("turtlebot4/tb4_mcap.mcap", "/odom"),
-     ("halls/edmonton.mcap", "/odom"), ("fr079/fr079.mcap", "/odom"), ("aces/aces.mcap", "/odom")],
-)  # fmt: skip
+    [
+        ("strangers/controller_twist.bag", "/scan"),
+        ("strangers/pimouse.bag", "/odom"),
+        ("strangers/odometry_in_tf.bag", "/tf:odom:base_footprint"),
+        ("turtlebot4/tb4_mcap.mcap", "/odom"),
+        ("halls/edmonton.mcap", "/odom"),
+        ("fr079/fr079.mcap", "/odom"),
+        ("aces/aces.mcap", "/odom"),
+    ],
+)
 def test_no_healthy_odometry_is_lost_and_no_controller_is_taken(bag: str, topic: str) -> None:
     assert choose(open_log([real_log(bag)]), make_robot({})).of("wheels") == (topic,)
 
@@ -381,27 +395,47 @@ STRAIGHT = np.column_stack((AT, 0.0 * AT, 0.0 * AT))
 NOISE = np.cumsum(np.random.default_rng(3).normal(0.0, 0.4, len(AT)))
 FAR = "of the way between the fixes of /fix"
 BY_OTHERS: dict[str, Case] = {
-    "two odometries": (lambda: [odometry(AT, OTHER, "/odom1"), odometry(AT, WAY, "/odom2"), imu()], "/odom2",
-                       ("/odom2 is used: /odom1 explains ",
-                        "of the turning of /imu; it explains 100% of the turning of /imu")),
-    "speeds turn as the gyro": (lambda: [odometry(AT, OTHER), speeds("/v", TURN), imu(late_s=0.4)], "/v",
-                                ("/odom explains",)),
+    "two odometries": (
+        lambda: [odometry(AT, OTHER, "/odom1"), odometry(AT, WAY, "/odom2"), imu()],
+        "/odom2",
+        ("/odom2 is used: /odom1 explains ", "of the turning of /imu; it explains 100% of the turning of /imu"),
+    ),
+    "speeds turn as the gyro": (
+        lambda: [odometry(AT, OTHER), speeds("/v", TURN), imu(late_s=0.4)],
+        "/v",
+        ("/odom explains",),
+    ),
     "the odometry does": (lambda: [odometry(AT, WAY), speeds("/v", OTHER[:, 2]), imu()], "/odom", None),
     "it never moves": (lambda: [odometry(AT, 0.0 * WAY), speeds("/v", 0.0 * AT), fixes(STRAIGHT)], "/v", (FAR,)),
-    "it ends half-way": (lambda: [odometry(AT[:150], STRAIGHT[:150]), speeds("/v", 0.0 * AT), fixes(STRAIGHT)],
-                         "/v", (FAR,)),
-    "nobody judges": (lambda: [odometry(AT, WAY), speeds("/v", OTHER[:, 2])], "/odom",
-                      ("of the motion by /v; nothing shows which is right",)),
+    "it ends half-way": (
+        lambda: [odometry(AT[:150], STRAIGHT[:150]), speeds("/v", 0.0 * AT), fixes(STRAIGHT)],
+        "/v",
+        (FAR,),
+    ),
+    "nobody judges": (
+        lambda: [odometry(AT, WAY), speeds("/v", OTHER[:, 2])],
+        "/odom",
+        ("of the motion by /v; nothing shows which is right",),
+    ),
     "they agree": (lambda: [odometry(AT, WAY), speeds("/v", TURN)], "/odom", ()),
-    "a command beside what was measured": (lambda: [odometry(AT, OTHER), speeds("/cmd_vel", TURN, None), imu()],
-                                           "/odom", None),
-    "of two commands": (lambda: [speeds("/a/cmd_vel", OTHER[:, 2], None), speeds("/b/cmd_vel", TURN, None), imu()],
-                        "/b/cmd_vel", ("/a/cmd_vel explains",)),
+    "a command beside what was measured": (
+        lambda: [odometry(AT, OTHER), speeds("/cmd_vel", TURN, None), imu()],
+        "/odom",
+        None,
+    ),
+    "of two commands": (
+        lambda: [speeds("/a/cmd_vel", OTHER[:, 2], None), speeds("/b/cmd_vel", TURN, None), imu()],
+        "/b/cmd_vel",
+        ("/a/cmd_vel explains",),
+    ),
     "a gyro of noise": (lambda: [odometry(AT, WAY), speeds("/v", TURN), imu(NOISE)], "/odom", None),
-    "other sensors by its name": (lambda: [odometry(AT, WAY, "/odometry/filtered"), imu()], "/odometry/filtered",
-                                  ("/odometry/filtered already holds other sensors (IMU, GPS), by its name",)),
+    "other sensors by its name": (
+        lambda: [odometry(AT, WAY, "/odometry/filtered"), imu()],
+        "/odometry/filtered",
+        ("/odometry/filtered already holds other sensors (IMU, GPS), by its name",),
+    ),
     "wheels by its name": (lambda: [odometry(AT, WAY, "/odometry/wheel"), imu()], "/odometry/wheel", ()),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BY_OTHERS)
@@ -419,11 +453,13 @@ def test_a_command_alone_is_a_fault_and_of_two_like_odometries_the_user_chooses(
 
 @pytest.mark.parametrize(
     ("said", "words"),
-    [([odometry(AT, OTHER), speeds("/speed", TURN)], "/odom is used: it explains 0% of the motion by /speed"),
-     ([odometry(AT[:200], WAY[:200]), imu()], "The motion by /odom covers 19.9 s of the 39.9 s of this log. "),
-     ([odometry(AT, 0.0 * WAY), speeds("/cmd_vel", TURN)], "The robot does not move in this log")],
+    [
+        ([odometry(AT, OTHER), speeds("/speed", TURN)], "/odom is used: it explains 0% of the motion by /speed"),
+        ([odometry(AT[:200], WAY[:200]), imu()], "The motion by /odom covers 19.9 s of the 39.9 s of this log. "),
+        ([odometry(AT, 0.0 * WAY), speeds("/cmd_vel", TURN)], "The robot does not move in this log"),
+    ],
     ids=["two disagree", "it ends half-way", "all that was measured stands"],
-)  # fmt: skip
+)
 def test_what_makes_figures_doubtful_comes_before_them(said: list[list[Said]], words: str, tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", *said)
     done = ok("compare", log, "--no-advice", "-o", tmp_path / "out")

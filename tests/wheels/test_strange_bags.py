@@ -94,11 +94,17 @@ def end_of(log: Log) -> Array:
 
 @pytest.mark.parametrize(
     ("wheels", "other"),
-    [("/husky_velocity_controller/odom", "/odometry/filtered"), ("/odom/unfiltered", "/odom"),
-     ("/odom", "/zed/zed_node/odom"), ("/base_odometry/odom", "/robot_pose_ekf/odom_combined"),
-     ("/odometry/wheels", "/odom"), ("/odom_enc", "/odom"), ("/odom", "/odom_rf2o"),
-     ("/odometry/filtered", "/odometry/gps")],
-)  # fmt: skip
+    [
+        ("/husky_velocity_controller/odom", "/odometry/filtered"),
+        ("/odom/unfiltered", "/odom"),
+        ("/odom", "/zed/zed_node/odom"),
+        ("/base_odometry/odom", "/robot_pose_ekf/odom_combined"),
+        ("/odometry/wheels", "/odom"),
+        ("/odom_enc", "/odom"),
+        ("/odom", "/odom_rf2o"),
+        ("/odometry/filtered", "/odometry/gps"),
+    ],
+)
 def test_an_odometry_of_wheels_is_taken_before_one_made_of_more(wheels: str, other: str, tmp_path: Path) -> None:
     log = opened(tmp_path, driven(wheels), driven(other, STANDING))
     choice = chosen(log)
@@ -111,9 +117,13 @@ def test_an_odometry_of_wheels_is_taken_before_one_made_of_more(wheels: str, oth
 
 @pytest.mark.parametrize(
     ("used", "other"),
-    [("/scan_front", "/scan_back"), ("/f_scan", "/b_scan"), ("/scan", "/scan_filtered"),
-     ("/base_scan", "/tilt_scan")],
-)  # fmt: skip
+    [
+        ("/scan_front", "/scan_back"),
+        ("/f_scan", "/b_scan"),
+        ("/scan", "/scan_filtered"),
+        ("/base_scan", "/tilt_scan"),
+    ],
+)
 def test_of_several_lasers_the_likeliest_is_used_and_said(used: str, other: str, tmp_path: Path) -> None:
     choice = chosen(opened(tmp_path, driven("/odom"), scans(used), scans(other)))
     assert choice.of("lrf") == (used,)
@@ -146,14 +156,20 @@ def test_init_writes_the_laser_that_is_used_and_calls_it_a_guess(tmp_path: Path)
     [
         ("l_wheel_joint r_wheel_joint torso_lift_joint", "l_wheel_joint r_wheel_joint"),
         ("fl_wheel_joint fr_wheel_joint rl_wheel_joint rr_wheel_joint", "rl_wheel_joint rr_wheel_joint"),
-        ("front_left_wheel front_right_wheel rear_left_wheel rear_right_wheel",
-         "rear_left_wheel rear_right_wheel"),
-        ("left_wheel_joint right_wheel_joint wheel_drop_left_joint wheel_drop_right_joint",
-         "left_wheel_joint right_wheel_joint"),
-        ("left_front_steer_wheel right_front_steer_wheel left_back_wheel right_back_wheel",
-         "left_back_wheel right_back_wheel"),
+        (
+            "front_left_wheel front_right_wheel rear_left_wheel rear_right_wheel",
+            "rear_left_wheel rear_right_wheel",
+        ),
+        (
+            "left_wheel_joint right_wheel_joint wheel_drop_left_joint wheel_drop_right_joint",
+            "left_wheel_joint right_wheel_joint",
+        ),
+        (
+            "left_front_steer_wheel right_front_steer_wheel left_back_wheel right_back_wheel",
+            "left_back_wheel right_back_wheel",
+        ),
     ],
-)  # fmt: skip
+)
 def test_wheels_are_known_by_names_that_robots_give_them(joints: str, pair: str) -> None:
     assert joint_names([tuple(joints.split())], "/joint_states", WheelSettings()) == tuple(pair.split())
 
@@ -238,13 +254,15 @@ def test_what_is_not_read_is_named_with_what_to_record_instead(tmp_path: Path) -
 
 @pytest.mark.parametrize(
     "said",
-    [[*tf("robot1/odom", "robot1/base_link"), *mount("robot1/base_link", "laser")],
-     [*tf("odom", "chassis"), *mount("chassis", "laser")],
-     [*tf("/odom_combined", "/base"), *mount("/base", "/laser")],
-     [*tf("wheel_odom", "my_robot_body"), *mount("my_robot_body", "laser")],
-     [*tf("map", "ego_vehicle"), *mount("ego_vehicle", "laser")]],
+    [
+        [*tf("robot1/odom", "robot1/base_link"), *mount("robot1/base_link", "laser")],
+        [*tf("odom", "chassis"), *mount("chassis", "laser")],
+        [*tf("/odom_combined", "/base"), *mount("/base", "/laser")],
+        [*tf("wheel_odom", "my_robot_body"), *mount("my_robot_body", "laser")],
+        [*tf("map", "ego_vehicle"), *mount("ego_vehicle", "laser")],
+    ],
     ids=["a robot's name before it", "another name", "slashes of ROS 1", "a name of its own", "moved in the map"],
-)  # fmt: skip
+)
 def test_a_mount_is_found_on_any_frame_that_is_the_body(said: Sequence[Said], tmp_path: Path) -> None:
     found = present(mount_of(transforms_of(opened(tmp_path, list(said)), ["laser"]), "laser"))
     assert [found.x, found.y, found.yaw] == pytest.approx([0.2, 0.1, math.pi / 2], abs=1e-9)

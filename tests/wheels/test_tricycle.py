@@ -44,8 +44,10 @@ def encoders() -> MergedStream:
     steering = np.rint(ANGLE * GAIN + ZERO) % TURN
     stamps = np.rint((T + 1e9) * 1e9).astype(np.int64)
     kind = "std_msgs/msg/Int64"
-    parts = [ArrayStream(topic, kind, stamps, {"data": values}) for topic, values in (
-        ("/traction_ticks", traction), ("/steering_ticks", steering))]  # fmt: skip
+    parts = [
+        ArrayStream(topic, kind, stamps, {"data": values})
+        for topic, values in (("/traction_ticks", traction), ("/steering_ticks", steering))
+    ]
     return MergedStream(tuple(parts))
 
 
@@ -134,9 +136,14 @@ def findings(told: WheelSettings, path: Array, stream: MergedStream) -> list[Fin
 
 @pytest.mark.parametrize(
     ("wrong", "mirrored", "code"),
-    [({}, False, None), ({"servo_offset": ZERO + 300.0}, False, STEERING), ({"wheelbase": 2.0}, False, STEERING),
-     ({"servo_gain": -GAIN, "servo_offset": -ZERO}, False, STEERING), ({}, True, MIRROR)],
-)  # fmt: skip
+    [
+        ({}, False, None),
+        ({"servo_offset": ZERO + 300.0}, False, STEERING),
+        ({"wheelbase": 2.0}, False, STEERING),
+        ({"servo_gain": -GAIN, "servo_offset": -ZERO}, False, STEERING),
+        ({}, True, MIRROR),
+    ],
+)
 def test_wrong_steering_is_named_with_what_the_truth_shows(
     wrong: dict[str, float], mirrored: bool, code: str | None
 ) -> None:
@@ -223,10 +230,12 @@ def test_calibrate_uses_a_gyro_where_a_tricycle_has_no_truth_and_asks_without_an
 
 @pytest.mark.parametrize(
     ("change", "says", "hint"),
-    [((1.0, 1.0, 1.0), "", ""),
-     ((1.0, 1.0, 0.0), "the truth has no headings", "needs a truth with headings to find them"),
-     (None, "x and y of the truth are exchanged", "finds them by the truth, or says why not")],
-)  # fmt: skip
+    [
+        ((1.0, 1.0, 1.0), "", ""),
+        ((1.0, 1.0, 0.0), "the truth has no headings", "needs a truth with headings to find them"),
+        (None, "x and y of the truth are exchanged", "finds them by the truth, or says why not"),
+    ],
+)
 def test_init_says_why_a_truth_does_not_tell_a_tricycle(
     change: tuple[float, ...] | None, says: str, hint: str, tmp_path: Path
 ) -> None:

@@ -64,11 +64,13 @@ def test_clean_angles_give_the_plain_sum_of_arcs_and_no_words(first: Any) -> Non
 
 @pytest.mark.parametrize(
     ("unit", "low", "modulus"),
-    [pytest.param(1.0, -np.pi, 2 * np.pi, id="angle wrapped to +-pi"),
-     pytest.param(1.0, 0.0, 2 * np.pi, id="angle wrapped to 0..2 pi"),
-     pytest.param(2 * np.pi / 4000, -128 * 2 * np.pi / 4000, 256 * 2 * np.pi / 4000, id="8-bit angle of ticks"),
-     pytest.param(2 * np.pi / 4096, -(2**15) * 2 * np.pi / 4096, 2**16 * 2 * np.pi / 4096, id="16-bit angle")],
-)  # fmt: skip
+    [
+        pytest.param(1.0, -np.pi, 2 * np.pi, id="angle wrapped to +-pi"),
+        pytest.param(1.0, 0.0, 2 * np.pi, id="angle wrapped to 0..2 pi"),
+        pytest.param(2 * np.pi / 4000, -128 * 2 * np.pi / 4000, 256 * 2 * np.pi / 4000, id="8-bit angle of ticks"),
+        pytest.param(2 * np.pi / 4096, -(2**15) * 2 * np.pi / 4096, 2**16 * 2 * np.pi / 4096, id="16-bit angle"),
+    ],
+)
 def test_a_rollover_is_counted_on(unit: float, low: float, modulus: float) -> None:
     whole = np.round(ANGLE * 1.0 / unit) * unit if unit != 1.0 else ANGLE
     published = (whole + 0.98 * modulus / 2 - low) % modulus + low
@@ -200,8 +202,11 @@ def test_a_long_step_is_a_rollover_only_if_an_ordinary_one_is_left(left: float, 
     assert (unrolled(np.append(np.arange(0.0, 70.0, 10.0), after), likely=(RANGE,)).modulus == RANGE) is rolled
 
 
-BITS = {f"{b} bits of {u}": (np.arange(3 * 2**b, step=2 ** (b - 6)) * u, 2**b * u)
-        for b in (8, 10, 16) for u in (1e-9, 1.0, 1e9)}  # fmt: skip
+BITS = {
+    f"{b} bits of {u}": (np.arange(3 * 2**b, step=2 ** (b - 6)) * u, 2**b * u)
+    for b in (8, 10, 16)
+    for u in (1e-9, 1.0, 1e9)
+}
 COUNTED: dict[str, tuple[Array, float]] = {
     **BITS,
     "the shortest step is no tick": (np.cumsum(np.resize([18.0, 43.0, 127.0, 44.0, 130.0, 95.0], 200)), 1024.0),
@@ -240,13 +245,15 @@ def assert_pose(found: Array, wanted: Array, atol: float) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "text", "fields", "a_turn", "offset"),
-    [(CREATE, CREATE_TEXT, ("ticks_left", "ticks_right"), TICKS, 0),
-     (CREATE, CREATE_TEXT, ("ticks_left", "ticks_right"), TICKS, 2**31 - 300),
-     (TURTLE, TURTLE_TEXT, ("left_encoder", "right_encoder"), 4096, 0)],
-)  # fmt: skip
+    [
+        (CREATE, CREATE_TEXT, ("ticks_left", "ticks_right"), TICKS, 0),
+        (CREATE, CREATE_TEXT, ("ticks_left", "ticks_right"), TICKS, 2**31 - 300),
+        (TURTLE, TURTLE_TEXT, ("left_encoder", "right_encoder"), 4096, 0),
+    ],
+)
 def test_ticks_of_a_create_and_a_turtlebot3_are_read_over_32_bits_too(
     tmp_path: Path, kind: str, text: str, fields: tuple[str, str], a_turn: float, offset: int
-) -> None:  # fmt: skip
+) -> None:
     ticks = np.round(ANGLE * a_turn / (2 * np.pi)).astype(np.int64) + offset
     wrapped = (ticks + 2**31) % 2**32 - 2**31
     rows = [dict(zip(fields, pair, strict=True)) for pair in wrapped.tolist()]
@@ -259,9 +266,13 @@ def test_ticks_of_a_create_and_a_turtlebot3_are_read_over_32_bits_too(
 
 @pytest.mark.parametrize(
     ("kind", "left", "right", "bits"),
-    [("Int16", "/lwheel", "/rwheel", 16), ("Int32", "/left_ticks", "/right_ticks", 32),
-     ("Int64", "/encoder/left", "/encoder/right", 64), ("Float32", "/wheel/left/angle", "/wheel/right/angle", 0)],
-)  # fmt: skip
+    [
+        ("Int16", "/lwheel", "/rwheel", 16),
+        ("Int32", "/left_ticks", "/right_ticks", 32),
+        ("Int64", "/encoder/left", "/encoder/right", 64),
+        ("Float32", "/wheel/left/angle", "/wheel/right/angle", 0),
+    ],
+)
 def test_two_unsynchronised_topics_are_one_pair_of_wheels(
     tmp_path: Path, kind: str, left: str, right: str, bits: int
 ) -> None:

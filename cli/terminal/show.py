@@ -17,13 +17,12 @@ from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
-from locfuse.formats.report.table import Table
+from locfuse.formats.report.table import Table, terminal_lines
 from locfuse.formats.visible import visible
 from locfuse.fusion.progress import reporting_to
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from . import text_table
-from .screen import put, say as on_screen
+from .screen import put, say as on_screen, wrapped
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
@@ -157,7 +156,7 @@ def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
 def table(shown: Table) -> None:
     """Print a table if it has any rows."""
     if shown.rows:
-        text = text_table.lines(shown, width(), "   ")
+        text = terminal_lines(shown, width(), "   ")
         lines(text, bold=text[:1])
 
 
@@ -223,6 +222,6 @@ def _is_note(finding: Mapping[str, Any]) -> bool:
 def paragraph(text: str, styled: int | None = None, **style: Any) -> None:
     """Print a text, wrapped between words on a screen; its first `styled` characters (None: all) in a style."""
     left = len(text) if styled is None else styled
-    for line in text_table.wrapped("", text, width()):
+    for line in wrapped("", text, width()):
         on_screen(line, styled=left, **style)
         left -= len(line) + 1

@@ -64,7 +64,7 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the typed command. An unknown name is an error that suggests a similar one."""
-        from locfuse.formats.nearest import nearest
+        from locfuse.formats.text import nearest
 
         if args and not args[0].startswith("-") and args[0] not in COMMANDS:
             near = nearest(args[0], COMMANDS)

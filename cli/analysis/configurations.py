@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.text import did_you_mean
 from locfuse.fusion.data import BASES, Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.credit import subsets

@@ -17,7 +17,7 @@ from locfuse.formats.container.url import Url, is_url, place
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import ENDINGS, REPORTS, log_name
 from locfuse.formats.logs.log import open_log
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 from locfuse.formats.whole_files import RESULTS
 from locfuse.fusion.data import LocfuseError, UsageError
 

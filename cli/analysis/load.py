@@ -17,9 +17,8 @@ from msgspec.structs import replace
 from locfuse import sample_logs
 from locfuse.formats.container.url import Place, Url, place
 from locfuse.formats.logs.log import Log, open_log
-from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.visible import visible
+from locfuse.formats.text import did_you_mean, visible
 from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import holes, longest_part, of_holes
 from locfuse.fusion.checks.finding import Finding

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from locfuse.cli.analysis.settings import Outputs
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result

@@ -13,7 +13,7 @@ import msgspec
 
 from locfuse.formats.robot.ros_nodes import NODES, section_of, sections_of
 from locfuse.formats.robot.ros_yaml import RosFile, Setting, changed, in_yaml, parsed, render
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 

@@ -21,14 +21,13 @@ from locfuse.formats.figures.palette import Trace, traces_of
 from locfuse.formats.figures.panels import Panel
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.figures.where import trajectories
-from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import notes_of, void_reasons
 from locfuse.formats.report.table import records
 from locfuse.formats.report.tables import everything
 from locfuse.formats.results.trajectory import audit_csv
 from locfuse.formats.robot import landmark_map, line_map, robot_toml
-from locfuse.formats.visible import visible
+from locfuse.formats.text import did_you_mean, visible
 from locfuse.formats.whole_files import Content, write_results, write_text
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit

@@ -37,7 +37,7 @@ from locfuse.cli.analysis.settings import (
 from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError, UsageError
 from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align

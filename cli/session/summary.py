@@ -33,8 +33,8 @@ from locfuse.cli.analysis.verdicts import credit_values, verdicts
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import summary_files
 from locfuse.formats.report import json_report, summary as over
+from locfuse.formats.text import visible
 from locfuse.formats.versions import own
-from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.bootstrap import MIN_REPLICATES, student_t

@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 
 
 def say(line: str, err: bool = False, styled: int | None = None, **style: Any) -> None:

@@ -18,7 +18,7 @@ from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
 from locfuse.formats.report.table import Table, terminal_lines
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 from locfuse.fusion.progress import reporting_to
 from locfuse.fusion.sensors.registry import REGISTRY
 

@@ -28,7 +28,7 @@ from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
 from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors
 from locfuse.formats.messages.schema import MessageDecoder, SchemaError, parse, signature
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
 SOURCES: dict[bytes, type[Source]] = {b"SQLite format 3\x00": SqliteSource, b"#ROSBAG V2.0\n": BagSource}

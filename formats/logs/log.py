@@ -25,8 +25,8 @@ from locfuse.formats.messages.schema import (
     kind_of,
     resolve,
 )
-from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
+from locfuse.formats.text import did_you_mean
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 from locfuse.fusion.progress import report_progress
 

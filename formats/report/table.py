@@ -18,7 +18,7 @@ import msgspec
 from msgspec.structs import replace
 
 from locfuse.formats.figures.svg import slugs_of
-from locfuse.formats.visible import visible, visible_lines
+from locfuse.formats.text import visible, visible_lines
 from locfuse.fusion.data import Colour
 
 NEGATIVE_ZERO = re.compile(r"-0(\.0*)?%?")

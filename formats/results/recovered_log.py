@@ -13,7 +13,7 @@ import msgspec
 
 from locfuse.formats.container.mcap_write import LATCHED, add_messages, open_writer
 from locfuse.formats.logs.log import Log
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
-from locfuse.formats.visible import escaped
+from locfuse.formats.text import escaped
 from locfuse.fusion.data import LocfuseError
 
 from . import robot_toml

@@ -17,7 +17,7 @@ import numpy as np
 
 from locfuse.formats.caps import MAX_MAP_FILE
 from locfuse.formats.inputs import read_small
-from locfuse.formats.visible import visible, writable
+from locfuse.formats.text import visible, writable
 from locfuse.fusion.data import Array, LocfuseError, MapLine
 
 FORMAT, VERSION = "locfuse line map", 1

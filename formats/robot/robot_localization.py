@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 
 from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
-from locfuse.formats.nearest import did_you_mean
-from locfuse.formats.visible import visible
+from locfuse.formats.text import did_you_mean, visible
 from locfuse.fusion.data import LocfuseError
 
 from .ros_yaml import by_yaml

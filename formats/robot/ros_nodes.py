@@ -12,7 +12,7 @@ from importlib.resources import files
 
 import msgspec
 
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 from locfuse.fusion.data import LocfuseError
 
 from . import robot_localization as ekf

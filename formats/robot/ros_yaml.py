@@ -17,7 +17,7 @@ import msgspec
 
 from locfuse.formats.caps import MAX_KEYS, MAX_ROBOT_TOML, refuse_above
 from locfuse.formats.inputs import read_small
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 from locfuse.fusion.data import LocfuseError
 
 from .commented_toml import as_toml, printable

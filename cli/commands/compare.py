@@ -14,14 +14,14 @@ from click.core import ParameterSource
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, Outputs
-from locfuse.cli.terminal import completion, options as o
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, say
 
 ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options for finished results
 
 
 @click.command(cls=o.Grouped)
-@click.argument("log", nargs=-1, shell_complete=completion.logs)
+@click.argument("log", nargs=-1, shell_complete=o.complete_log)
 @o.carried(
     *o.CONFIGURATIONS,
     o.each(

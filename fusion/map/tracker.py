@@ -30,7 +30,6 @@ from locfuse.fusion.scan_matching.neighbours import beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model, ModelResults
 
-from .anchors import Anchors, Edge, inverted
 from .guard import Guard, jump, pose_in_map
 from .line_map import (
     MIN_HITS,
@@ -48,8 +47,19 @@ from .line_map import (
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
 from .slips import PresentScan
-from .small_maps import FrozenMap, begin_submap, frozen, heading_among, shared_walls, thaw
-from .submap_path import ScanMatchedPath, SubmapPath
+from .small_maps import (
+    Anchors,
+    Edge,
+    FrozenMap,
+    ScanMatchedPath,
+    SubmapPath,
+    begin_submap,
+    frozen,
+    heading_among,
+    inverted,
+    shared_walls,
+    thaw,
+)
 
 REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next submap begins
 # the next submap begins where the heading relative to the seen walls is this certain (1 sigma), or beyond this

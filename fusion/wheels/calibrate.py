@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import CONFIDENCE, chi_square
 from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, interpolate, stretches, totals
-from locfuse.fusion.scan_matching.clouds import Columns
+from locfuse.fusion.scan_matching.match import Columns
 
 from .motion import STANDS_M, Wheels
 

@@ -20,8 +20,7 @@ from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements, evenly, spaced
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.scan_matching.clouds import Clouds, clouds_of
-from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
+from locfuse.fusion.scan_matching.match import Clouds, Matches, Targets, clouds_of, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import further_scans, good, next_scans
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
 from locfuse.fusion.wheels.states import WHEELS

@@ -28,7 +28,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.scan_matching.clouds import clouds_of
+from locfuse.fusion.scan_matching.match import clouds_of
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.gps import GpsSettings
 from locfuse.fusion.whole_drive import closures, odometry, smooth

@@ -25,8 +25,7 @@ from locfuse.fusion.judge.predictive import Score, contradictions, listeners, me
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
-from locfuse.fusion.whole_drive.reference import References, sets
-from locfuse.fusion.whole_drive.smooth import check_smoothing
+from locfuse.fusion.whole_drive.smooth import References, check_smoothing, reference_sets
 
 from . import results, verdicts
 from .configurations import Configuration
@@ -116,7 +115,7 @@ def compare_log(
     if asked.smooth:  # raise early: smoothing needs the optimal gain
         for c in configurations:
             check_smoothing(robot, c.sensors)
-    solves = {frozenset(sensors) for sensors in sets(drive)} if asked.reference else set()
+    solves = {frozenset(sensors) for sensors in reference_sets(drive)} if asked.reference else set()
     filtered, smoothed, runs = list[JudgedRun](), list[JudgedRun](), list[RunInnovations]()
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of the filtered ones
     drawn = Drawn()

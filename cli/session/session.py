@@ -43,7 +43,7 @@ from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.whole_drive.reference import may_have_reference, refuse
+from locfuse.fusion.whole_drive.smooth import may_have_reference, refuse_reference
 
 from .foreign import foreign_estimates, named_sources
 from .jitter import add_jitter, check_runs
@@ -248,7 +248,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
         if wanted:
-            refuse(self.drive, self.robot)
+            refuse_reference(self.drive, self.robot)
         return may_have_reference(self.drive, self.robot)
 
     @speaks_python

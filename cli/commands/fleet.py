@@ -69,7 +69,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
     from locfuse.cli.fleet.jobs import FleetRows, plan
     from locfuse.cli.fleet.queue import NOT_RUN
     from locfuse.cli.session.summary import SUMMARY, summarised, write_summary
-    from locfuse.formats.fleet.entry import Entry
+    from locfuse.formats.report.fleet import Entry
     from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer, write_results
 
     how, outputs, fleet = options.how, options.outputs, options.fleet

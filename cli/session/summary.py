@@ -30,9 +30,8 @@ from locfuse.cli.analysis.settings import (
     words_of,
 )
 from locfuse.cli.analysis.verdicts import credit_values, verdicts
-from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import summary_files
 from locfuse.formats.report import json_report, summary as over
+from locfuse.formats.report.fleet import Entry, slim, summary_files
 from locfuse.formats.text import visible
 from locfuse.formats.versions import own
 from locfuse.formats.whole_files import may_write, write_results

@@ -43,7 +43,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "caps columns geometry text versions",
         "figures inputs",
         "report robot whole_files",
-        "container fleet rerun",
+        "container rerun",
         "messages",
         "logs",
         "results",

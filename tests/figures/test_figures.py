@@ -12,10 +12,9 @@ import small_scene
 from msgspec.structs import replace
 
 from locfuse.formats.figures import palette, svg
-from locfuse.formats.figures.deviation import credit, spread
 from locfuse.formats.figures.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Spots, Strokes, linear_ticks, log_ticks
-from locfuse.formats.figures.sections import sections
+from locfuse.formats.figures.sections import credit, sections, spread
 from locfuse.formats.figures.where import spots, step, track, where
 from locfuse.fusion.data import VERDICTS, Array
 from locfuse.fusion.sensors.registry import colours

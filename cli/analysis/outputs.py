@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from locfuse.formats.figures.panels import Scene
-from locfuse.formats.figures.sections import sections
 from locfuse.formats.logs.clock import MAX_DELAY_S
-from locfuse.formats.report import json_report, markdown, table, tables
+from locfuse.formats.report import json_report, table, tables
 from locfuse.formats.results import trajectory as to
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import Content
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Drive, Estimates, Event
-from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
 from locfuse.fusion.wheels.states import WHEEL_STATES
@@ -29,14 +26,20 @@ from .load import Loaded
 from .robot_tables import files_of
 from .verdicts import credit_values
 
+if TYPE_CHECKING:
+    from locfuse.formats.figures.panels import Scene
+
 MCAP = "estimates.mcap"
 
 
 def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
     """Return file name -> content for these kinds of output."""
+    from locfuse.formats.report import markdown
+
     drive, out = compared.loaded.drive, dict[str, Content]()
 
     def page() -> str:
+        from locfuse.formats.figures.sections import sections
         from locfuse.formats.report import html  # imports markupsafe
 
         return html.render(report, sections(scene(compared)), colours())
@@ -56,6 +59,8 @@ def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str])
 
 def scene(compared: Compared) -> Scene:
     """Return all data that figures show: drive, estimates, evaluations, and NIS with chi-square bounds."""
+    from locfuse.formats.figures.panels import Scene
+
     drive, drawn = compared.loaded.drive, compared.drawn
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
     return Scene(
@@ -89,6 +94,8 @@ def _landmarks(compared: Compared) -> list[tuple[float, float]]:
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
     """Return timed events: fault labels of the log, events of the drive and of runs with audits."""
+    from locfuse.fusion.judge.events import events_of_drive, events_of_run
+
     found = [*loaded.labels, *events_of_drive(loaded.drive)]
     for e in runs:
         found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,17 +16,12 @@ from locfuse.cli.analysis import outputs, results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
-from locfuse.formats.figures.for_paper import on_axes, paper_figures
-from locfuse.formats.figures.palette import Trace, traces_of
-from locfuse.formats.figures.panels import Panel
-from locfuse.formats.figures.sections import sections
-from locfuse.formats.figures.where import trajectories
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import notes_of, void_reasons
 from locfuse.formats.report.table import records
 from locfuse.formats.report.tables import everything
 from locfuse.formats.results.trajectory import audit_csv
-from locfuse.formats.robot import landmark_map, line_map, robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.formats.text import did_you_mean, visible
 from locfuse.formats.whole_files import Content, write_results, write_text
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
@@ -35,6 +30,10 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, colours
 
 from .python_words import in_python, speaks_python
+
+if TYPE_CHECKING:
+    from locfuse.formats.figures.palette import Trace
+    from locfuse.formats.figures.panels import Panel
 
 V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the default ones
@@ -153,6 +152,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
         Without matplotlib, return the report's figure, an SVG for a notebook.
         """
+        from locfuse.formats.figures.for_paper import on_axes
         from locfuse.formats.report.notebook import NotebookFigure
 
         panel, traces = self._trajectories()
@@ -163,6 +163,9 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     def _trajectories(self) -> tuple[Panel, Mapping[str, Trace]]:
         """Return the figure of all paths, and the line style of each."""
+        from locfuse.formats.figures.palette import traces_of
+        from locfuse.formats.figures.where import trajectories
+
         panel = trajectories(outputs.scene(self.compared)).panels[0]
         return panel, traces_of(self.estimates.values())
 
@@ -263,6 +266,8 @@ class Run(Result, frozen=True, eq=False):
         To a .csv, write the landmarks or anchors that the run estimated (`landmarks.map = "grow"`): use it as
         `landmarks.map`.
         """
+        from locfuse.formats.robot import landmark_map, line_map
+
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 hint = "--set landmarks.map=grow makes a map of them"
@@ -294,6 +299,10 @@ class Comparison(Result, frozen=True, eq=False):
     @speaks_python
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
+        from locfuse.formats.figures.for_paper import paper_figures
+        from locfuse.formats.figures.palette import traces_of
+        from locfuse.formats.figures.sections import sections
+
         shown = sections(outputs.scene(self.compared))
         figures = paper_figures(shown, traces_of(self.compared.estimates), colours())
         return self._written(folder, figures, overwrite=True)

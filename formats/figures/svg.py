@@ -7,7 +7,7 @@ light and dark pages, and its text can be enlarged on a phone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 
 import msgspec
@@ -271,8 +271,3 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
     grows = len(px) < 2 or bool((np.diff(px) >= 0).all())
     kind = "curve wide" if mark.wide else "curve"
     return kind, curve_path(px, py, pixels) if grows else trajectory_path(px, py)
-
-
-def slugs_of(names: Sequence[str]) -> dict[str, str]:
-    """Return a CSS class, k0, k1, ..., for every configuration or role, independent of its name."""
-    return {name: f"k{i}" for i, name in enumerate(names)}

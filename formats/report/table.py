@@ -17,7 +17,6 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.formats.figures.svg import slugs_of
 from locfuse.formats.text import visible, visible_lines
 from locfuse.fusion.data import Colour
 
@@ -189,7 +188,7 @@ class Swatches(msgspec.Struct, frozen=True, dict=True):
     @cached_property
     def slugs(self) -> dict[str, str]:
         """CSS class of the colour of each name."""
-        return slugs_of(list(self.inks))
+        return {name: f"k{i}" for i, name in enumerate(self.inks)}
 
     def of(self, name: str) -> str:
         """Return the legend symbol of a configuration, sensor or role as HTML."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import msgspec
 import numpy as np
@@ -16,7 +16,6 @@ from locfuse.formats.report.findings import in_one_unit, length
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation, RunningNis, result_name
 from locfuse.fusion.fuse import configuration_name
-from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import RunInnovations
 from locfuse.fusion.judge.credit import Credit, credit
 from locfuse.fusion.judge.evaluate import Align, evaluate, running_nis
@@ -25,7 +24,6 @@ from locfuse.fusion.judge.predictive import Score, contradictions, listeners, me
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
-from locfuse.fusion.whole_drive.smooth import References, check_smoothing, reference_sets
 
 from . import results, verdicts
 from .configurations import Configuration
@@ -33,6 +31,10 @@ from .load import Loaded
 from .robot_tables import key
 from .settings import Asked, Progress, one_of
 from .verdicts import ByReference
+
+if TYPE_CHECKING:
+    from locfuse.fusion.judge.against import Reference
+    from locfuse.fusion.whole_drive.smooth import References
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # difference of first poses from which on frames differ
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
@@ -113,9 +115,15 @@ def compare_log(
     one_of(asked.align, get_args(Align), "align")
     drive, robot = loaded.drive, loaded.robot
     if asked.smooth:  # raise early: smoothing needs the optimal gain
+        from locfuse.fusion.whole_drive.smooth import check_smoothing
+
         for c in configurations:
             check_smoothing(robot, c.sensors)
-    solves = {frozenset(sensors) for sensors in reference_sets(drive)} if asked.reference else set()
+    solves = set[frozenset[str]]()
+    if asked.reference:
+        from locfuse.fusion.whole_drive.smooth import reference_sets
+
+        solves = {frozenset(sensors) for sensors in reference_sets(drive)}
     filtered, smoothed, runs = list[JudgedRun](), list[JudgedRun](), list[RunInnovations]()
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of the filtered ones
     drawn = Drawn()
@@ -153,6 +161,8 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
     drive, robot, plain = compared.loaded.drive, compared.loaded.robot, compared.plain
     references, align = None, cast("Align", asked.align)
     if asked.reference:
+        from locfuse.fusion.whole_drive.smooth import References
+
         progress("solving the whole drive")
         alone = {sensors[0]: name for name, sensors in compared.sets.items() if len(sensors) == 1}
         contradicting = contradictions(compared.scores, alone)

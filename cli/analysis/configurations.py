@@ -17,7 +17,6 @@ from locfuse.fusion.measure import thinned
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
-from locfuse.fusion.whole_drive.smooth import fuse_and_smooth, why_not_smoothed
 
 from .errors import has_scipy
 from .settings import Asked
@@ -50,6 +49,8 @@ class Configuration(msgspec.Struct, frozen=True):
             return asked.smooth and bool(self.sensors)
         if asked.jitter or self.rates or LASER not in self.sensors:
             return False
+        from locfuse.fusion.whole_drive.smooth import why_not_smoothed
+
         return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
@@ -59,6 +60,8 @@ class Configuration(msgspec.Struct, frozen=True):
         """
         found: tuple[Estimates, ...]
         if smooth:
+            from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
+
             found = filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
             if not np.isfinite(whole.pose).all():
                 found = (replace(filtered, notes=(*filtered.notes, NOT_SMOOTHED)),)

@@ -17,10 +17,8 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import verdicts
-from locfuse.fusion.data import UsageError
 from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
 
-MAX_RUNS = 1000
 DIRECTIONS = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1}
 NO_EFFECT = "no effect seen"
 JITTER_NOTE = (
@@ -28,13 +26,6 @@ JITTER_NOTE = (
     f"{DROPPED_SHARE:.0%} of the readings dropped. Differences between configurations that are smaller than these "
     "ranges mean nothing."
 )
-
-
-def check_runs(runs: int) -> int:
-    """Return the number of runs. Raises UsageError unless it is in 0..MAX_RUNS."""
-    if not 0 <= runs <= MAX_RUNS:
-        raise UsageError(f"--jitter {runs}: give a number of runs from 1 to {MAX_RUNS}")
-    return runs
 
 
 class Jittered(NamedTuple):

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import Progress
-from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
 from locfuse.formats.report.table import Table, terminal_lines
@@ -104,7 +103,10 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     for line in () if how.quiet else notes if outputs.verbose else unusable:
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
-    record(outputs, found, files[0].parent, say)
+    if outputs.recorded:
+        from locfuse.cli.rerun.record import record
+
+        record(outputs, found, files[0].parent, say)
     unprinted = [*notes, *filter(_is_note, found.report.get("findings") or ())]
     if not outputs.as_json:
         end(files, 0 if how.quiet or outputs.verbose else len(unprinted))

@@ -185,7 +185,7 @@ def complete_setting(context: click.Context, parameter: click.Parameter, begun: 
     from msgspec.structs import fields
 
     from locfuse.cli.analysis.robot_tables import table_types
-    from locfuse.formats.robot import units
+    from locfuse.formats.robot import robot_toml
 
     key, equals, word = begun.partition("=")
     if equals:
@@ -193,7 +193,7 @@ def complete_setting(context: click.Context, parameter: click.Parameter, begun: 
         return [CompletionItem(f"{key}={topic}") for topic in found if topic.startswith(word)]
     every = ((table, f.encode_name) for table, kind in table_types().items() for f in fields(kind))
     fits = [(table, name) for table, name in every if f"{table}.{name}".startswith(begun)]
-    return [CompletionItem(f"{table}.{name}=", help=units.of(table, name)) for table, name in fits]
+    return [CompletionItem(f"{table}.{name}=", help=robot_toml.unit_of(table, name)) for table, name in fits]
 
 
 def _topics(context: click.Context) -> list[str]:

@@ -1,4 +1,4 @@
-"""robot.toml: parsing, merging of several sources key by key, and conversion to typed settings."""
+"""robot.toml: parsing, merging of several sources key by key, conversion to typed settings, units of the keys."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -13,8 +14,6 @@ import msgspec
 from locfuse.formats.caps import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, refuse_above
 from locfuse.formats.text import did_you_mean, escaped
 from locfuse.fusion.data import LocfuseError, UsageError
-
-from . import units
 
 BARE_POINT = re.compile(r"^([+-]?)\.(?=\d)")  # .5 is a number for most people, but not for TOML
 MAX_LISTED_KEYS = 12  # in an error message
@@ -180,7 +179,7 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
     for key, value in table.items():
         if key not in known:
             raise LocfuseError(_unknown(key, name, known))
-        if units.of(name, key) in units.WITH_METRES:
+        if unit_of(name, key) in WITH_METRES:
             _refuse_far(f"{name}.{key}", value)
 
 
@@ -234,7 +233,8 @@ def _needed(table: str, key: str, reason: str) -> str:
 
     `reason` is the message of msgspec. If it is not about a number, return it in plain words.
     """
-    unit = units.in_words(table, key)
+    unit = unit_of(table, key)
+    unit = UNIT_IN_WORDS.get(unit, unit)
     found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
     if not found:
         return _plain(reason)
@@ -265,3 +265,17 @@ def dump(tables: Mapping[str, Any]) -> str:
 def _without_none(tables: Mapping[str, Any]) -> Tables:
     kept = {key: value for key, value in tables.items() if value is not None}
     return {key: _without_none(value) if isinstance(value, Mapping) else value for key, value in kept.items()}
+
+
+_UNITS = tomllib.loads((files(__package__) / "units.toml").read_text(encoding="utf-8"))
+UNIT_OF_PATH: dict[str, str] = {path: unit for unit, paths in _UNITS["paths"].items() for path in paths}
+SECONDS, METRES = frozenset(_UNITS["seconds"]), frozenset(_UNITS["metres"])
+WITH_METRES = {"m", "m, m, °", "m, m, °, °"}
+UNIT_IN_WORDS = {"m": "metres", "°": "degrees", "s": "seconds", "px": "pixels", "m/s": "metres per second"}
+
+
+def unit_of(table: str, key: str) -> str:
+    """Return the unit of a key's value: "m"; "" without one."""
+    if (path := f"{table}.{key}") in UNIT_OF_PATH:
+        return UNIT_OF_PATH[path]
+    return "°" if key.endswith("_deg") else "s" if key in SECONDS else "m" if key in METRES else ""

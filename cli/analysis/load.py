@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse import sample_logs
-from locfuse.formats.container.url import Place, Url, place
+from locfuse.formats.container.file_bytes import Place, Url, place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.text import did_you_mean, visible

@@ -195,7 +195,7 @@ def path_of(path: PathLike) -> Path:
 
 def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
     """Return the paths of one log or of its parts as command-line words. Raises UsageError for an empty list."""
-    from locfuse.formats.container.url import is_url
+    from locfuse.formats.container.file_bytes import is_url
 
     parts = [log] if isinstance(log, str | os.PathLike) else list(log)
     if not parts:

@@ -130,7 +130,7 @@ class Folder(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the folder or URL as text."""
-        from locfuse.formats.container.url import is_url
+        from locfuse.formats.container.file_bytes import is_url
 
         return value if is_url(str(value)) else str(super().convert(value, param, ctx))
 

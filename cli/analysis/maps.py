@@ -33,7 +33,7 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     Raises LocfuseError for a bad file and a map of another building, UsageError for the paper's filter, whose map
     is the first scan.
     """
-    from locfuse.formats.robot import line_map, map_image
+    from locfuse.formats.robot import map_files, map_image
     from locfuse.fusion.map.given_map import Grid
 
     if loaded.robot.preset == "paper":
@@ -41,7 +41,7 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
-        return _with_map(replace(loaded, given=None), line_map.read(file), str(file))
+        return _with_map(replace(loaded, given=None), map_files.read_lines(file), str(file))
     return _give_grid(replace(loaded, given=None), Grid(*map_image.read(file)), str(file))
 
 

@@ -16,7 +16,7 @@ from locfuse.formats.logs.file_stream import SUFFIXES
 from locfuse.formats.logs.files import Identity
 from locfuse.formats.logs.log import Log
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
-from locfuse.formats.robot import landmark_map, robot_toml
+from locfuse.formats.robot import map_files, robot_toml
 from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.paper import preset as filters
@@ -226,5 +226,5 @@ def with_point_maps(robot: Robot) -> Robot:
         path = Path(settings.map).expanduser()
         if not path.is_file():
             raise LocfuseError(f"no such file: {path}", role=name, hint=f"{name}.map names a .csv of id, x, y")
-        read[name] = msgspec.structs.replace(settings, map=landmark_map.read(path))
+        read[name] = msgspec.structs.replace(settings, map=map_files.read_landmarks(path))
     return replace(robot, sensors={**robot.sensors, **read})

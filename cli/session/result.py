@@ -266,18 +266,18 @@ class Run(Result, frozen=True, eq=False):
         To a .csv, write the landmarks or anchors that the run estimated (`landmarks.map = "grow"`): use it as
         `landmarks.map`.
         """
-        from locfuse.formats.robot import landmark_map, line_map
+        from locfuse.formats.robot import map_files
 
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 hint = "--set landmarks.map=grow makes a map of them"
                 raise UsageError("save_map: this run placed no landmarks", hint=hint)
-            write_text(path_of(file), landmark_map.encode(self.filtered.points))
+            write_text(path_of(file), map_files.encode_landmarks(self.filtered.points))
             return
         if "lrf" not in self.filtered.sensors:
             words = "only the laser has a map, and this run did not use it; add lrf to its sensors"
             raise UsageError(f"save_map: {words}")
-        write_text(path_of(file), line_map.encode(self.filtered.final_map, self.loaded.log.name))
+        write_text(path_of(file), map_files.encode_lines(self.filtered.final_map, self.loaded.log.name))
 
 
 class Comparison(Result, frozen=True, eq=False):

@@ -30,7 +30,7 @@ from locfuse.formats.logs.files import log_files, make_decoder
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.schema import SchemaError, parse, signature
 from locfuse.formats.robot import map_files, robot_toml
-from locfuse.formats.robot.urdf import wheel_geometry
+from locfuse.formats.robot.transforms import wheel_geometry
 from locfuse.fusion.data import LocfuseError
 
 CORPUS = Path(__file__).parent / "corpus"

@@ -19,8 +19,7 @@ from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
 from locfuse.cli.analysis.topics import Choice, Note, filled, types
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
 from locfuse.formats.logs.log import Log
-from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
+from locfuse.formats.robot.transforms import StaticTransforms, WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, ODOMETRY as WHEELS, LocfuseError, Ragged, Stream, Truth
 from locfuse.fusion.robot import Robot, WheelSettings

@@ -17,8 +17,14 @@ from locfuse.formats.caps import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML,
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import updated
 from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, layered, merge, parse
-from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, Transform, planar_mount, static_transforms
-from locfuse.formats.robot.urdf import wheel_geometry
+from locfuse.formats.robot.transforms import (
+    FIELDS,
+    StaticTransforms,
+    Transform,
+    planar_mount,
+    static_transforms,
+    wheel_geometry,
+)
 from locfuse.fusion.data import LocfuseError, Ragged, UsageError
 
 

@@ -19,8 +19,8 @@ from locfuse.formats.robot.transforms import (
     planar_mount,
     roll_pitch_yaw,
     static_transforms,
+    wheel_geometry,
 )
-from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion.data import LocfuseError, Ragged
 
 BASES = ("base_link", "base_footprint", "base")

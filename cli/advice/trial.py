@@ -19,8 +19,7 @@ from locfuse.cli.analysis.settings import Asked, Progress
 from locfuse.fusion.checks.tried import Fixes, Marks, keys
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.evaluate import Align, covariance_check, evaluate, shape_error
-from locfuse.fusion.judge.own_scans import LASER, OwnScans
-from locfuse.fusion.judge.predictive import listeners, mean_density
+from locfuse.fusion.judge.without_truth import LASER, OwnScans, listeners, mean_density
 from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
 

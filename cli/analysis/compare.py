@@ -19,8 +19,14 @@ from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.consistency import RunInnovations
 from locfuse.fusion.judge.credit import Credit, credit
 from locfuse.fusion.judge.evaluate import Align, evaluate, running_nis
-from locfuse.fusion.judge.own_scans import judged_by_scans
-from locfuse.fusion.judge.predictive import Score, contradictions, listeners, mean_density, scores
+from locfuse.fusion.judge.without_truth import (
+    Score,
+    contradictions,
+    judged_by_scans,
+    listeners,
+    mean_density,
+    scores,
+)
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed

@@ -14,7 +14,7 @@ from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, RunInnovations, judge
 from locfuse.fusion.judge.credit import MIN_EFFECT, Credit, Effect, SensorCredit, overconfident, unsure, verdict
 from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
-from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
+from locfuse.fusion.judge.without_truth import MIN_GAIN_NATS, Score, contradictions, ranking
 from locfuse.fusion.robot import Robot
 
 REFERENCE = (

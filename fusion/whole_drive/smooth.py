@@ -48,7 +48,7 @@ from locfuse.fusion.ekf.map_frame import map_covariance
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import Align
-from locfuse.fusion.judge.own_scans import are_contradictory
+from locfuse.fusion.judge.without_truth import are_contradictory
 from locfuse.fusion.mount import mount_blocks
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed

@@ -39,8 +39,18 @@ from locfuse.fusion.judge.against import Reference, interpolated
 from locfuse.fusion.judge.credit import Effect
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
-from locfuse.fusion.judge.own_scans import Distance, OwnScanFigures, OwnScans, is_better
-from locfuse.fusion.judge.predictive import OUTLIER_SHARE, contradictions, listeners, log_density, ranking, scores
+from locfuse.fusion.judge.without_truth import (
+    OUTLIER_SHARE,
+    Distance,
+    OwnScanFigures,
+    OwnScans,
+    contradictions,
+    is_better,
+    listeners,
+    log_density,
+    ranking,
+    scores,
+)
 from locfuse.fusion.robot import Robot
 
 N = 400

@@ -13,9 +13,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.load import Loaded, common_fields
-from locfuse.cli.analysis.outputs import events, places
 from locfuse.cli.session.foreign import estimates_in
-from locfuse.cli.session.result import Result
+from locfuse.cli.session.result import Result, events, places
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import Trace, colours, traces_in, traces_of
 from locfuse.formats.inputs import read_small

@@ -14,7 +14,15 @@ from msgspec.structs import replace
 from locfuse.cli.advice.evaluator import advise, advise_on_run
 from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
-from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
+from locfuse.cli.analysis.compare import (
+    Compared,
+    add_jitter,
+    compare_log,
+    report_of,
+    report_of_run,
+    run_log,
+    with_others,
+)
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load as load_log, with_settings
 from locfuse.cli.analysis.results import say_motion
@@ -310,8 +318,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     def _complete(self, report: dict[str, Any], compared: Compared, asked: Asked, advised: Advised | None) -> None:
         """Add ranges under jitter, advice, and warnings on the motion to `report`."""
         if asked.jitter:
-            from .jitter import add_jitter
-
             add_jitter(report, compared, asked, self.progress)
         complete(report, compared, advised)
         say_motion(report, self.loaded, advised is not None and "verdicts" in report)

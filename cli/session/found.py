@@ -85,7 +85,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
     def _repr_html_(self) -> str:
         """Return the table and the notes as HTML for a notebook."""
-        from locfuse.formats.report.notebook import table_and_notes
+        from locfuse.formats.report.html import table_and_notes
 
         return table_and_notes(self.titles, self.rows(), self.notes)
 

@@ -158,7 +158,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         Without matplotlib, return the report's figure, an SVG for a notebook.
         """
         from locfuse.formats.figures.for_paper import on_axes
-        from locfuse.formats.report.notebook import NotebookFigure
+        from locfuse.formats.report.html import NotebookFigure
 
         panel, traces = self._trajectories()
         try:
@@ -196,10 +196,10 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     def _repr_html_(self) -> str:
         """Return headline, findings, verdicts, table and trajectories as HTML for a notebook."""
-        from locfuse.formats.report import notebook
+        from locfuse.formats.report import html
 
         panel, traces = self._trajectories()
-        return notebook.render(self.report, in_python) + notebook.NotebookFigure(panel, traces, colours()).html()
+        return html.notebook_report(self.report, in_python) + html.NotebookFigure(panel, traces, colours()).html()
 
     @speaks_python
     def write(

@@ -88,9 +88,9 @@ class Summary:
 
     def _repr_html_(self) -> str:
         """Return headline, verdicts and table as HTML for a notebook."""
-        from locfuse.formats.report import notebook
+        from locfuse.formats.report import html
 
-        return notebook.render_summary(self.report)
+        return html.notebook_summary(self.report)
 
 
 class Keywords(Choices, total=False):

@@ -202,11 +202,11 @@ def test_a_notebook_shows_verdicts_and_the_main_table_without_markup_of_a_log(
     assert f"lrf {compared.verdicts['lrf']['verdict']}." in words
     assert f"{1000.0 * compared.report['configurations']['lrf']['position_rmse_m']:.1f}" in words
     assert page.count("<tr") == 1 + len(compared.estimates)
-    from locfuse.formats.report import notebook
+    from locfuse.formats.report import html
 
     evil = "<script>alert(1)</script>"
     report = {**compared.report, "verdicts": {"lrf": {"verdict": "helps", "words": evil}}}
-    assert "<script" not in notebook.render(report)
+    assert "<script" not in html.notebook_report(report)
 
 
 def test_step_by_step_gives_a_session_s_numbers(session: locfuse.Session, compared: locfuse.Comparison) -> None:

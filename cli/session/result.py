@@ -32,7 +32,7 @@ from locfuse.fusion.judge.credit import Credit
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
-from locfuse.fusion.wheels.states import WHEEL_STATES
+from locfuse.fusion.wheels.motion import WHEEL_STATES
 
 from .python_words import in_python, speaks_python
 

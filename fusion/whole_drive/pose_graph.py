@@ -25,7 +25,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.match import Clouds, Matches, Targets, clouds_of, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import further_scans, good, next_scans
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
-from locfuse.fusion.wheels.states import WHEELS
+from locfuse.fusion.wheels.motion import WHEELS
 
 from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised, submaps_of
 from .odometry import Odometry, OdometryErrors, add_lever_arm, bridged, errors_at_scans, odometry_of

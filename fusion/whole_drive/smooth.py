@@ -52,7 +52,7 @@ from locfuse.fusion.judge.without_truth import are_contradictory
 from locfuse.fusion.mount import mount_blocks
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
-from locfuse.fusion.wheels.states import WHEELS
+from locfuse.fusion.wheels.motion import WHEELS
 
 from .pose_graph import LASER, Graph, may_have_loops, whole_drive
 

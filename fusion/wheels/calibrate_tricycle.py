@@ -21,8 +21,7 @@ from locfuse.fusion.data import Array, Ints, LocfuseError, Truth, interpolate, s
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 
-from .calibrate import Figure
-from .geometry import ASSUMED_RADIUS_M
+from .calibrate import ASSUMED_RADIUS_M, Figure
 from .motion import dead_reckoning
 from .steered import Encoders, read_encoders, rolled_by
 

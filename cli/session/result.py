@@ -29,6 +29,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Event, UsageError
 from locfuse.fusion.judge.credit import Credit
+from locfuse.fusion.judge.evaluate import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
@@ -378,8 +379,6 @@ def _landmarks(compared: Compared) -> list[tuple[float, float]]:
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
     """Return timed events: fault labels of the log, events of the drive and of runs with audits."""
-    from locfuse.fusion.judge.events import events_of_drive, events_of_run
-
     found = [*loaded.labels, *events_of_drive(loaded.drive)]
     for e in runs:
         found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)

@@ -37,8 +37,7 @@ from locfuse.fusion.data import (
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.against import Reference, interpolated
 from locfuse.fusion.judge.credit import Effect
-from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.events import events_of_drive, events_of_run
+from locfuse.fusion.judge.evaluate import evaluate, events_of_drive, events_of_run
 from locfuse.fusion.judge.without_truth import (
     OUTLIER_SHARE,
     Distance,

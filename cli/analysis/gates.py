@@ -17,8 +17,7 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats.caps import MAX_REPORT
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_REPORT, read_small
 from locfuse.formats.logs.log import Log
 from locfuse.formats.report import json_report
 from locfuse.formats.report.changes import judged_by

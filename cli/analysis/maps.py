@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_WALLS, names_its_cap
+from locfuse.formats.inputs import MAX_WALLS, names_its_cap
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
 
 from .load import Loaded, start_notes

@@ -10,8 +10,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_ROBOT_TOML, MAX_TEXT_FILE
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_ROBOT_TOML, MAX_TEXT_FILE, read_small
 from locfuse.formats.logs.file_stream import SUFFIXES
 from locfuse.formats.logs.files import Identity
 from locfuse.formats.logs.log import Log

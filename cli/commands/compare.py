@@ -155,8 +155,7 @@ def _refuse_log_options() -> None:
 def _read(file: Path) -> dict[str, Any]:
     import json
 
-    from locfuse.formats.caps import MAX_REPORT
-    from locfuse.formats.inputs import read_small
+    from locfuse.formats.inputs import MAX_REPORT, read_small
     from locfuse.formats.report import changes as sides, json_report
     from locfuse.fusion.data import LocfuseError
 

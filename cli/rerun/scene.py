@@ -15,9 +15,8 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.load import Loaded, common_fields
 from locfuse.cli.session.foreign import estimates_in
 from locfuse.cli.session.result import Result, events, places
-from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import Trace, colours, traces_in, traces_of
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_REPORT, read_small
 from locfuse.formats.logs.clock import MadeStream
 from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.report import json_report, markdown

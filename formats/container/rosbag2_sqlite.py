@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
+from locfuse.formats.inputs import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 

@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 import msgspec
 
-from locfuse.formats.caps import MAX_METADATA
 from locfuse.formats.container.decompress import ZSTD_MAGIC, unpack_file
 from locfuse.formats.container.file_bytes import FileBytes, Losses, Place, Url
 from locfuse.formats.container.mcap_records import MAGIC
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import summary_section
 from locfuse.formats.container.source import ChannelInfo, Source, message_type
-from locfuse.formats.inputs import read_small, reading
+from locfuse.formats.inputs import MAX_METADATA, read_small, reading
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
 from locfuse.formats.messages.schema import MessageDecoder, SchemaError, parse, signature
 from locfuse.formats.text import writable

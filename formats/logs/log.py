@@ -11,10 +11,10 @@ from typing import Self, cast
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_TOPICS, refuse_above
 from locfuse.formats.columns import Bytes
 from locfuse.formats.container.file_bytes import Losses, Place
 from locfuse.formats.container.source import ChannelInfo, Messages, Source, unpack
+from locfuse.formats.inputs import MAX_TOPICS, refuse_above
 from locfuse.formats.messages.schema import (
     NUMBER as A_NUMBER,
     NUMBERS,

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from locfuse.formats.caps import MAX_ROBOT_TOML
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_ROBOT_TOML, read_small
 from locfuse.formats.text import escaped
 from locfuse.fusion.data import LocfuseError
 

@@ -15,8 +15,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from locfuse.formats.caps import MAX_MAP_FILE
-from locfuse.formats.inputs import csv_table, read_small
+from locfuse.formats.inputs import MAX_MAP_FILE, csv_table, read_small
 from locfuse.formats.text import visible, writable
 from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError, MapLine
 

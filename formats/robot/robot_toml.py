@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from locfuse.formats.caps import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, refuse_above
+from locfuse.formats.inputs import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, refuse_above
 from locfuse.formats.text import did_you_mean, escaped
 from locfuse.fusion.data import LocfuseError, UsageError
 

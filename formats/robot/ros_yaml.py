@@ -15,8 +15,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from locfuse.formats.caps import MAX_KEYS, MAX_ROBOT_TOML, refuse_above
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_KEYS, MAX_ROBOT_TOML, read_small, refuse_above
 from locfuse.formats.text import visible
 from locfuse.fusion.data import LocfuseError
 

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from locfuse.formats.caps import MAX_JOINTS, MAX_TEXT, MAX_TRANSFORMS, refuse_above
+from locfuse.formats.inputs import MAX_JOINTS, MAX_TEXT, MAX_TRANSFORMS, refuse_above
 from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
 from locfuse.fusion.se2 import rotation_3d
 

@@ -40,7 +40,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "paper tune whole_drive",
     ),
     "formats": (
-        "caps columns geometry text versions",
+        "columns geometry text versions",
         "figures inputs",
         "report robot whole_files",
         "container rerun",

@@ -10,7 +10,7 @@ from bags import T0, Said, cdr, real_log, write
 from present import present
 from scipy.spatial.transform import Rotation
 
-from locfuse.formats.caps import MAX_TEXT
+from locfuse.formats.inputs import MAX_TEXT
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.robot.transforms import (
     FIELDS,

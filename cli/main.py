@@ -41,6 +41,7 @@ COMMANDS = {
 MODULES = {  # command -> module in cli/commands, where their names differ
     **dict.fromkeys(("calibrate", "tune"), "estimate"),
     **dict.fromkeys(("explain", "completion", "schema"), "words"),
+    "paper": "simulate",
 }
 INTERRUPTED, TERMINATED = 130, 143
 

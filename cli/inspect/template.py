@@ -20,7 +20,7 @@ from locfuse.cli.analysis.settings import LogOptions, Progress, set_words
 from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.robot.commented_toml import TomlLine, TomlSection
+from locfuse.formats.robot.robot_toml import TomlLine, TomlSection
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError

@@ -19,7 +19,7 @@ from locfuse.formats.inputs import MAX_KEYS, MAX_ROBOT_TOML, read_small, refuse_
 from locfuse.formats.text import visible
 from locfuse.fusion.data import LocfuseError
 
-from .commented_toml import as_toml, printable
+from .robot_toml import as_toml, printable
 
 PARAMETERS = "ros__parameters"
 BOM = "\ufeff"

@@ -15,8 +15,7 @@ from present import present
 
 from locfuse.formats.inputs import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML, MAX_TRANSFORMS
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.robot.commented_toml import updated
-from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, layered, merge, parse
+from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, layered, merge, parse, updated
 from locfuse.formats.robot.transforms import (
     FIELDS,
     StaticTransforms,

@@ -16,8 +16,7 @@ from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import BODY_READS, SCANS
-from locfuse.fusion.wheels.read import counts_ticks
-from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS
+from locfuse.fusion.wheels.read import JOINTS, NUMBERS, TICKS, counts_ticks
 
 from .robot_facts import Overview
 

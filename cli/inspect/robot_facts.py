@@ -29,7 +29,7 @@ from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.calibrate import Geometry, geometry_by_motion, geometry_by_odometry
 from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle, nominal, of_truth
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
-from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
+from locfuse.fusion.wheels.read import JOINTS, USUAL_TICKS, joint_names
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .topics import TopicFacts

@@ -27,8 +27,7 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensor import Ask
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
-from locfuse.fusion.wheels.read import counts_ticks
-from locfuse.fusion.wheels.sources import JOINTS
+from locfuse.fusion.wheels.read import JOINTS, counts_ticks
 from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
 from .inspect_log import inspect_log

@@ -22,7 +22,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import BODY_READS
-from locfuse.fusion.wheels.sources import joint_names
+from locfuse.fusion.wheels.read import joint_names
 
 from .finding import Finding, Least
 from .lag import headings

@@ -38,9 +38,8 @@ from locfuse.fusion.robot import Mirrored, WheelSettings
 from locfuse.fusion.scan_matching.match import Columns
 
 from .motion import STANDS_M, Wheels
-from .read import SIGNS, WheelReading, read_wheels
+from .read import SIGNS, Counters, WheelReading, read_counters, read_wheels
 from .repairs import repaired
-from .sources import Counters, read_counters
 
 # ---- noise scale by restricted likelihood with linear nuisance parameters ----  e_i = X_i p + noise, noise ~ N(0,
 # s Q_i + T_i), p ~ N(0, P0): p is integrated out, so that systematic errors do not count as noise (Patterson and

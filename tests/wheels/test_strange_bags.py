@@ -43,8 +43,7 @@ from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.calibrate import geometry_by_odometry
-from locfuse.fusion.wheels.read import read_wheels
-from locfuse.fusion.wheels.sources import joint_names
+from locfuse.fusion.wheels.read import joint_names, read_wheels
 
 SCAN = "sensor_msgs/msg/LaserScan"
 T = np.arange(0.0, 5.01, 0.1)

@@ -22,8 +22,8 @@ from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, understood
 from locfuse.fusion.lines.scans import Laser, equal_scans
 from locfuse.fusion.robot import Robot, WheelSettings
-from locfuse.fusion.sensors.level import FIELD, IMU
 from locfuse.fusion.sensors.lrf import Lrf, laser_of
+from locfuse.fusion.sensors.magnetic import FIELD, IMU
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, looks_like_truth

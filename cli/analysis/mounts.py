@@ -16,7 +16,7 @@ from locfuse.formats.robot.transforms import FrameMount, StaticTransforms, plana
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
-from locfuse.fusion.sensors.level import FIELD, IMU, LevelledField, tilt_of
+from locfuse.fusion.sensors.magnetic import FIELD, IMU, LevelledField, tilt_of
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .topics import filled

@@ -21,7 +21,7 @@ from locfuse.formats.robot.ros_yaml import ASSUMED, KEPT, Origin, Setting
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
 from locfuse.fusion.sensors.gyro import BIAS, up_rate
-from locfuse.fusion.sensors.level import IMU
+from locfuse.fusion.sensors.magnetic import IMU
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import ODOMETRY
 from locfuse.fusion.wheels.velocity_noise import random_walk

@@ -17,9 +17,8 @@ from locfuse.fusion.checks.turning import RATIO
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.sensors.iron import Iron, fit_iron
-from locfuse.fusion.sensors.level import FIELD
 from locfuse.fusion.sensors.lrf import laser_of
+from locfuse.fusion.sensors.magnetic import FIELD, Iron, fit_iron
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, Figure, WheelCalibration, calibrate_wheels

@@ -17,7 +17,7 @@ from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
-from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
+from locfuse.fusion.sensors.magnetic import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
 from locfuse.fusion.streams import numbers
 
 from .finding import Finding

@@ -56,7 +56,7 @@ fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency
 fusion/judge/innovations: judge/consistency
 fusion/judge/without_truth: judge/against
-fusion/judge/against: judge/against
+fusion/whole_drive/reference: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
 formats/results/mcap_export formats/container/mcap_write: container/mcap_write
 formats/messages/cdr: messages/layout messages/cdr

@@ -46,8 +46,7 @@ from .settings import Asked, Progress, one_of, silent
 from .verdicts import ByReference
 
 if TYPE_CHECKING:
-    from locfuse.fusion.judge.against import Reference
-    from locfuse.fusion.whole_drive.smooth import References
+    from locfuse.fusion.whole_drive.reference import Reference, References
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # difference of first poses from which on frames differ
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
@@ -134,7 +133,7 @@ def compare_log(
             check_smoothing(robot, c.sensors)
     solves = set[frozenset[str]]()
     if asked.reference:
-        from locfuse.fusion.whole_drive.smooth import reference_sets
+        from locfuse.fusion.whole_drive.reference import reference_sets
 
         solves = {frozenset(sensors) for sensors in reference_sets(drive)}
     filtered, smoothed, runs = list[JudgedRun](), list[JudgedRun](), list[RunInnovations]()
@@ -174,7 +173,7 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
     drive, robot, plain = compared.loaded.drive, compared.loaded.robot, compared.plain
     references, align = None, cast("Align", asked.align)
     if asked.reference:
-        from locfuse.fusion.whole_drive.smooth import References
+        from locfuse.fusion.whole_drive.reference import References
 
         progress("solving the whole drive")
         alone = {sensors[0]: name for name, sensors in compared.sets.items() if len(sensors) == 1}

@@ -17,7 +17,7 @@ from locfuse.fusion.judge.without_truth import MIN_GAIN_NATS, Score, contradicti
 from locfuse.fusion.robot import Robot
 
 if TYPE_CHECKING:
-    from locfuse.fusion.judge.against import Reference
+    from locfuse.fusion.whole_drive.reference import Reference
 
 REFERENCE = (
     "Errors are measured against the smoothed solution of the {base}{sensors} (1 sigma {sigma}), not against "

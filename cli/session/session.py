@@ -257,7 +257,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
-        from locfuse.fusion.whole_drive.smooth import may_have_reference, refuse_reference
+        from locfuse.fusion.whole_drive.reference import may_have_reference, refuse_reference
 
         if wanted:
             refuse_reference(self.drive, self.robot)

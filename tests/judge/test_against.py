@@ -35,7 +35,6 @@ from locfuse.fusion.data import (
     upper_triangles,
 )
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.against import Reference, interpolated
 from locfuse.fusion.judge.credit import Effect
 from locfuse.fusion.judge.evaluate import evaluate, events_of_drive, events_of_run
 from locfuse.fusion.judge.without_truth import (
@@ -51,6 +50,7 @@ from locfuse.fusion.judge.without_truth import (
     scores,
 )
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.whole_drive.reference import Reference, interpolated
 
 N = 400
 SIGMA = 0.02  # m, of each axis of the solved drive

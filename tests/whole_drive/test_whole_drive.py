@@ -25,7 +25,6 @@ from locfuse.fusion.data import (
     spaced,
 )
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.match import clouds_of
@@ -54,7 +53,7 @@ from locfuse.fusion.whole_drive.pose_graph import (
     wheels_share,
     whole_drive,
 )
-from locfuse.fusion.whole_drive.smooth import References, reference_sets, refuse_reference
+from locfuse.fusion.whole_drive.reference import Reference, References, reference_sets, refuse_reference
 
 
 @cache

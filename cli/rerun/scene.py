@@ -29,7 +29,6 @@ from locfuse.formats.rerun.scene import (
     Rgb,
     SensorLook,
 )
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Column, Drive, LocfuseError, Motions, Ragged, Stream, Truth, evenly
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.lines.points import ScanPoints
@@ -39,6 +38,7 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.camera import detector
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY, colours as sensor_colours
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import seconds
 from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.odometry import POSE

@@ -14,12 +14,12 @@ from locfuse.cli.analysis.load import Loaded, Parts, load
 from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.formats.columns import nested
 from locfuse.fusion.checks.turning import RATIO
-from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.magnetic import FIELD, Iron, fit_iron
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import SIGMAS_95
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, Figure, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.calibrate_tricycle import (

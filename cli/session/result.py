@@ -26,13 +26,13 @@ from locfuse.formats.robot import robot_toml
 from locfuse.formats.text import did_you_mean, visible
 from locfuse.formats.whole_files import Content, write_results, write_text
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Event, UsageError
 from locfuse.fusion.judge.credit import Credit
 from locfuse.fusion.judge.evaluate import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.wheels.motion import WHEEL_STATES
 
 from .python_words import in_python, speaks_python

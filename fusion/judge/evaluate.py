@@ -21,7 +21,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import mean_bounds, robust_sigma
 from locfuse.fusion.data import (
     JUMP,
     LOOP,
@@ -50,6 +49,7 @@ from locfuse.fusion.data import (
     stretches,
 )
 from locfuse.fusion.ekf.map_frame import pose_by_frame
+from locfuse.fusion.statistics import mean_bounds, robust_sigma
 from locfuse.fusion.streams import gap_limit
 
 from .bootstrap import effective_samples

@@ -24,7 +24,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
@@ -32,6 +31,7 @@ from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import by_wheels, key_scans
 from locfuse.fusion.scan_matching.solve import NOWHERE, Edges, Problem, relative
 from locfuse.fusion.sensor import Equation
+from locfuse.fusion.statistics import chi_square
 
 from .line_map import COLUMN_NAMES, MIN_HITS, LineMap
 from .scan import Scan

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import LOOP_TAKEN, Array, Jump, LocfuseError, MapLine, Measurements, RowVerdict, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import pose_by_frame
@@ -29,6 +28,7 @@ from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model, ModelResults
+from locfuse.fusion.statistics import chi_square
 
 from .guard import Guard, jump, pose_in_map
 from .line_map import (

@@ -13,7 +13,6 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
@@ -31,6 +30,7 @@ from locfuse.fusion.sensor import (
     WheelMotion,
     given_or_state,
 )
+from locfuse.fusion.statistics import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.streams import arrays, count_dropped, seconds, stuck
 
 from .magnetic import LevelledField, levelled

@@ -23,9 +23,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError, Stream, interpolate
 from locfuse.fusion.se2 import rotated_3d, wrap_all
+from locfuse.fusion.statistics import robust_sigma
 from locfuse.fusion.streams import arrays
 
 IMU = "sensor_msgs/msg/Imu"

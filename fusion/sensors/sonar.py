@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Colour, Component, Measurements, RowVerdict, Stream, totals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import Ask, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import MergedStream, arrays, count_dropped, parts_of, seconds
 
 if TYPE_CHECKING:

@@ -21,7 +21,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import CONFIDENCE, chi_square
 from locfuse.fusion.data import (
     Array,
     Drive,
@@ -36,6 +35,7 @@ from locfuse.fusion.data import (
 )
 from locfuse.fusion.robot import Mirrored, WheelSettings
 from locfuse.fusion.scan_matching.match import Columns
+from locfuse.fusion.statistics import CONFIDENCE, chi_square
 
 from .motion import STANDS_M, Wheels
 from .read import SIGNS, Counters, WheelReading, read_counters, read_wheels

@@ -16,9 +16,9 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, Ints, LocfuseError, Truth, interpolate, stretches, totals
 from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.statistics import SIGMAS_95
 from locfuse.fusion.streams import MergedStream
 
 from .calibrate import ASSUMED_RADIUS_M, Figure

@@ -38,8 +38,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import SIGMAS_95, chi_square
 from locfuse.fusion.data import Array, LocfuseError, Mask, changes, spaced, totals
+from locfuse.fusion.statistics import SIGMAS_95, chi_square
 
 from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, Figure, Residuals
 from .motion import Wheels

@@ -18,13 +18,13 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.checks.lag import worth_saying
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements, evenly, spaced
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.match import Clouds, Matches, Targets, clouds_of, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import further_scans, good, next_scans
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
+from locfuse.fusion.statistics import robust_sigma
 from locfuse.fusion.wheels.motion import WHEELS
 
 from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised, submaps_of

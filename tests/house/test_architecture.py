@@ -28,8 +28,8 @@ DRAWS_IN_RERUN = {  # imported by formats/rerun/recording.py, inside its functio
 # Floors, lowest first. A name is a room, or a file at the root of a top folder.
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
-        "chi_square data progress se2",
-        "change geodesy kernels scan_matching streams",
+        "data progress se2",
+        "geodesy kernels scan_matching statistics streams",
         "camera sensor",
         "ekf lines mount robot",
         "wheels",

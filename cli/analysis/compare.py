@@ -34,12 +34,11 @@ from locfuse.fusion.judge.without_truth import (
     scores,
 )
 from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
-from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
 from . import results, verdicts
-from .configurations import Configuration
+from .configurations import Configuration, fuser
 from .load import Loaded
 from .robot_tables import key
 from .settings import Asked, Progress, one_of, silent

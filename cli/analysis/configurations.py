@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -11,11 +11,10 @@ from msgspec.structs import replace
 
 from locfuse.formats.text import did_you_mean
 from locfuse.fusion.data import BASES, Drive, Estimates, LocfuseError, UsageError
-from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.fuse import configuration_name, fuse
 from locfuse.fusion.judge.credit import subsets
 from locfuse.fusion.measure import thinned
-from locfuse.fusion.paper.preset import fuser
-from locfuse.fusion.robot import Robot
+from locfuse.fusion.robot import Preset, Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
 from .errors import has_scipy
@@ -68,6 +67,15 @@ class Configuration(msgspec.Struct, frozen=True):
         else:
             found = (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
         return tuple(replace(e, rates=self.rates) for e in found) if self.rates else found
+
+
+def fuser(preset: Preset) -> Callable[..., Estimates]:
+    """Return the function that runs the filter of a preset; its arguments are those of `fusion.fuse.fuse`."""
+    if preset == "paper":
+        from locfuse.fusion.paper.filter import fuse_as_printed
+
+        return fuse_as_printed
+    return fuse
 
 
 def parse(sensors: Sensors, drive: Drive) -> Configuration:

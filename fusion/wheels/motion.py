@@ -309,7 +309,7 @@ def geometry_of_states(x: Array) -> Array:
 
 
 def geometry_by_states(x: Array) -> Array:
-    """Return the derivative (3, 3) of `geometry` by the states x (3,)."""
+    """Return the derivative (3, 3) of `geometry_of_states` by the states x (3,)."""
     a, b, q = x.tolist()
     s = 0.5 * (a + b)
     by_scale, by_turn = -0.5 * q / (1.0 + s - q) ** 2, (1.0 + s) / (1.0 + s - q) ** 2

@@ -35,7 +35,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.own_scans import Distance
+from locfuse.fusion.judge.without_truth import Distance
 from locfuse.fusion.lines.scans import lines_in_base
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot

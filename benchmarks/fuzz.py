@@ -33,7 +33,7 @@ from benchmarks.experiment import in_processes, locfuse, scratch
 from benchmarks.fuzz_cases import Case, bases, contents, damaged_case, directed_case
 from benchmarks.fuzz_parsers import PARSERS, fuzz_parser
 from locfuse.cli.analysis.errors import silence_overflows
-from locfuse.formats.visible import UNSEEN
+from locfuse.formats.text import UNSEEN
 from locfuse.formats.whole_files import TEMPORARY
 
 MAX_WALL_RATIO = 20  # largest wall time / limit of CPU time: a process that waits uses no CPU time

@@ -27,8 +27,8 @@ from locfuse.formats.logs import file_stream
 from locfuse.formats.logs.files import log_files, make_decoder
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.schema import SchemaError, parse, signature
-from locfuse.formats.robot import landmark_map, line_map, robot_toml
-from locfuse.formats.robot.urdf import wheel_geometry
+from locfuse.formats.robot import map_files, robot_toml
+from locfuse.formats.robot.transforms import wheel_geometry
 from locfuse.fusion.data import LocfuseError
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -186,8 +186,8 @@ PARSERS: dict[str, Callable[[bytes], object]] = {  # by the name of their corpus
     "journal": journal,
     "tum": lambda data: beside(".tum", data),
     "csv": lambda data: beside(".csv", data),
-    "landmarks": lambda data: landmark_map.read(written("landmarks.csv", data)),
-    "line_map": lambda data: line_map.decode(data, "map"),
+    "landmarks": lambda data: map_files.read_landmarks(written("landmarks.csv", data)),
+    "line_map": lambda data: map_files.decode_lines(data, "map"),
 }
 
 

@@ -35,7 +35,7 @@ from benchmarks.golden_cases import HERE, LOGS, QUICK, SIMULATED, Case, cases, s
 from benchmarks.real_logs import DATA
 from locfuse.fusion.data import VERDICTS, Estimates
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.predictive import listeners
+from locfuse.fusion.judge.without_truth import listeners
 
 MOST = 500  # largest number of recorded rows of most columns; update times and verdicts are complete
 LISTED = 10  # largest number of printed differences of a report

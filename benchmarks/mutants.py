@@ -49,13 +49,12 @@ fusion/sensors/twist: sensors/pose sensors/contract
 fusion/sensors/camera: camera/camera sensors/contract
 fusion/map/line_map: map/line_map map/given_map kernels/sight sensors/lrf fusion/start_at
 fusion/map/scan: map/line_map sensors/lrf
-fusion/judge/evaluate: judge/evaluate judge/consistency
+fusion/judge/evaluate: judge/evaluate judge/consistency judge/against
 fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency
-fusion/judge/events: judge/against
 fusion/judge/innovations: judge/consistency
-fusion/judge/predictive: judge/against
-fusion/judge/against: judge/against
+fusion/judge/without_truth: judge/against
+fusion/whole_drive/reference: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
 formats/results/mcap_export formats/container/mcap_write: container/mcap_write
 formats/messages/cdr: messages/layout messages/cdr

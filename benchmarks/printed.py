@@ -20,7 +20,7 @@ from benchmarks.experiment import Row
 from locfuse.fusion.data import Array, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.paper import equations, rows as paper_rows
+from locfuse.fusion.paper import equations, filter as paper_rows
 from locfuse.fusion.paper.filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import sight, wrap

@@ -41,6 +41,7 @@ COMMANDS = {
 MODULES = {  # command -> module in cli/commands, where their names differ
     **dict.fromkeys(("calibrate", "tune"), "estimate"),
     **dict.fromkeys(("explain", "completion", "schema"), "words"),
+    "paper": "simulate",
 }
 INTERRUPTED, TERMINATED = 130, 143
 
@@ -64,7 +65,7 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the typed command. An unknown name is an error that suggests a similar one."""
-        from locfuse.formats.nearest import nearest
+        from locfuse.formats.text import nearest
 
         if args and not args[0].startswith("-") and args[0] not in COMMANDS:
             near = nearest(args[0], COMMANDS)

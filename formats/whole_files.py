@@ -15,7 +15,7 @@ from pathlib import Path
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from .inputs import DESTROYS, is_among, refuse_to_write
-from .visible import visible_lines
+from .text import visible_lines
 
 try:
     import fcntl

@@ -577,7 +577,7 @@ class Evaluation(msgspec.Struct, frozen=True):
     lost: tuple[tuple[float, float], ...] = ()
     notes: tuple[str, ...] = ()  # notes of the filter on the run
     rates: Mapping[str, float] = {}  # Hz, those of the estimates
-    reference: bool = False  # whether the reference solution replaces truth (judge.against)
+    reference: bool = False  # whether the reference solution replaces truth (whole_drive.reference)
 
     @property
     def name(self) -> str:

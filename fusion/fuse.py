@@ -21,8 +21,7 @@ from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.kernels.ekf import Innovation, State, Steps
 from locfuse.fusion.kernels.sight import SightLines
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
+from locfuse.fusion.wheels.motion import WHEELS, Wheels, wheel_block, wheel_words
 
 from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, RowVerdict, matrices
 from .progress import report_progress

@@ -1,6 +1,6 @@
 """robot.toml files of robots that many people own; the comment beside every figure says where it comes from.
 
-`locfuse init` recognises them by what a log holds (locfuse.cli.inspect.known_robots). A new one is a file here and
+`locfuse init` recognises them by what a log holds (locfuse.cli.inspect.template). A new one is a file here and
 a line there.
 """
 

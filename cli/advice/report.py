@@ -32,7 +32,7 @@ from locfuse.fusion.checks.truth import unusable
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.judge.credit import MAX_CONSISTENT_ANEES
-from locfuse.fusion.judge.own_scans import is_better
+from locfuse.fusion.judge.without_truth import is_better
 from locfuse.fusion.mount import OTHER_MOUNT
 from locfuse.fusion.sensors.registry import REGISTRY
 

@@ -10,7 +10,7 @@ import msgspec
 
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 from locfuse.fusion.checks.examine import MIXED, holes
 from locfuse.fusion.checks.together import LogEstimates, Look, asked, shown
 from locfuse.fusion.checks.tried import Fixes

@@ -1,1 +1,1 @@
-"""From a log to its report: topics chosen, load, configurations, compare, outputs, gates. No click, no print."""
+"""From a log to its report: topics chosen, load, configurations, compare, gates. No click, no print."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.level import IMU
+from locfuse.fusion.sensors.magnetic import IMU
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded

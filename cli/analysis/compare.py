@@ -1,10 +1,16 @@
-"""Comparison of configurations on one measured log, judged by truth, else by a reference and by prediction."""
+"""Comparison of configurations on one measured log, judged by truth, else by a reference and by prediction.
+
+Jitter (`--jitter N`): each configuration is fused N more times, each time on a slightly changed drive. A
+difference of two figures is chance if it is smaller than their range over these runs. A verdict that changes its
+direction in any run becomes "no effect seen".
+"""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
 
 import msgspec
 import numpy as np
@@ -16,24 +22,30 @@ from locfuse.formats.report.findings import in_one_unit, length
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation, RunningNis, result_name
 from locfuse.fusion.fuse import configuration_name
-from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import RunInnovations
 from locfuse.fusion.judge.credit import Credit, credit
 from locfuse.fusion.judge.evaluate import Align, evaluate, running_nis
-from locfuse.fusion.judge.own_scans import judged_by_scans
-from locfuse.fusion.judge.predictive import Score, contradictions, listeners, mean_density, scores
-from locfuse.fusion.paper.preset import fuser
+from locfuse.fusion.judge.without_truth import (
+    Score,
+    contradictions,
+    judged_by_scans,
+    listeners,
+    mean_density,
+    scores,
+)
+from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
-from locfuse.fusion.whole_drive.reference import References, sets
-from locfuse.fusion.whole_drive.smooth import check_smoothing
 
 from . import results, verdicts
-from .configurations import Configuration
+from .configurations import Configuration, fuser
 from .load import Loaded
 from .robot_tables import key
-from .settings import Asked, Progress, one_of
+from .settings import Asked, Progress, one_of, silent
 from .verdicts import ByReference
+
+if TYPE_CHECKING:
+    from locfuse.fusion.whole_drive.reference import Reference, References
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # difference of first poses from which on frames differ
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
@@ -114,9 +126,15 @@ def compare_log(
     one_of(asked.align, get_args(Align), "align")
     drive, robot = loaded.drive, loaded.robot
     if asked.smooth:  # raise early: smoothing needs the optimal gain
+        from locfuse.fusion.whole_drive.smooth import check_smoothing
+
         for c in configurations:
             check_smoothing(robot, c.sensors)
-    solves = {frozenset(sensors) for sensors in sets(drive)} if asked.reference else set()
+    solves = set[frozenset[str]]()
+    if asked.reference:
+        from locfuse.fusion.whole_drive.reference import reference_sets
+
+        solves = {frozenset(sensors) for sensors in reference_sets(drive)}
     filtered, smoothed, runs = list[JudgedRun](), list[JudgedRun](), list[RunInnovations]()
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of the filtered ones
     drawn = Drawn()
@@ -154,6 +172,8 @@ def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], 
     drive, robot, plain = compared.loaded.drive, compared.loaded.robot, compared.plain
     references, align = None, cast("Align", asked.align)
     if asked.reference:
+        from locfuse.fusion.whole_drive.reference import References
+
         progress("solving the whole drive")
         alone = {sensors[0]: name for name, sensors in compared.sets.items() if len(sensors) == 1}
         contradicting = contradictions(compared.scores, alone)
@@ -339,3 +359,67 @@ def report_of_run(compared: Compared) -> dict[str, Any]:
     verdicts.add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_own_scans(report, compared, compared.configurations[0].drive(compared.loaded.drive))
     return json_report.plain(report)
+
+
+DIRECTIONS = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1}
+NO_EFFECT = "no effect seen"
+JITTER_NOTE = (
+    f"The drive was fused {{runs}} times more with stamps moved by up to {1e6 * MOVED_S:g} µs and "
+    f"{DROPPED_SHARE:.0%} of the readings dropped. Differences between configurations that are smaller than these "
+    "ranges mean nothing."
+)
+
+
+class Jittered(NamedTuple):
+    """Figures, path changes and verdicts of one run on a jittered drive."""
+
+    figures: Mapping[str, Mapping[str, float | None]]  # result -> figure -> value
+    away: Mapping[str, float]  # result -> largest distance of its path to that of the original drive [m]
+    verdicts: Mapping[str, str]  # sensor -> verdict
+
+
+def add_jitter(report: dict[str, Any], compared: Compared, asked: Asked, progress: Progress) -> None:
+    """Fuse and judge all configurations on jittered drives, and add the ranges of the figures to the report."""
+    loaded, plain = compared.loaded, {e.name: e for e in compared.estimates}
+    once, found = replace(asked, reference=False, audits=False), []
+    for seed in range(asked.jitter):
+        progress(f"jitter {seed + 1} of {asked.jitter}")
+        other = replace(loaded, drive=jittered(loaded.drive, loaded.robot, seed))
+        run = compare_log(other, compared.configurations, once, silent)
+        away = {}
+        for e in run.estimates:
+            own = plain[e.name]
+            x, y = (np.interp(own.t, e.t, e.pose[:, k]) - own.pose[:, k] for k in (0, 1))
+            away[e.name] = float(np.hypot(x, y).max())
+        words = {s: v["verdict"] for s, v in verdicts.verdicts(run.credit, run.scores, run.sets).items()}
+        found.append(Jittered({e.name: e.figures for e in run.evaluations}, away, words))
+    add_ranges(report, found)
+
+
+def add_ranges(report: dict[str, Any], found: Sequence[Jittered]) -> None:
+    """Add each figure's range over all runs to the report; a verdict that changes becomes "no effect seen"."""
+    if not found:
+        return
+    report["jitter"] = {"runs": len(found), "words": JITTER_NOTE.format(runs=len(found))}
+    for name, values in report["configurations"].items():
+        if name in found[0].figures:
+            values["jitter"] = _ranges(values, [run.figures[name] for run in found])
+            values["jitter"]["path_moved_m"] = max(run.away[name] for run in found)
+    for sensor, own in report.get("verdicts", {}).items():
+        seen = Counter(run.verdicts[sensor] for run in found if sensor in run.verdicts)
+        if len({DIRECTIONS.get(word, 0) for word in (own["verdict"], *seen)}) > 1:
+            counted = ", ".join(f"{w} {n}" for w, n in sorted(seen.items(), key=lambda pair: (-pair[1], pair[0])))
+            words = f"The verdict is chance: it changes under jitter ({counted})."
+            recorded = "" if own["verdict"] == NO_EFFECT else f" As recorded: {own['verdict']}."
+            own.update(verdict=NO_EFFECT, words=f"{words}{recorded} {own['words']}")
+
+
+def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) -> dict[str, Any]:
+    """Return [smallest, largest] value of each figure that exists in all runs."""
+    out = {}
+    for figure in runs[0]:
+        values = [own.get(figure), *(run.get(figure) for run in runs)]
+        numbers = [v for v in values if v is not None and math.isfinite(v)]
+        if len(numbers) == len(values):
+            out[figure] = [min(numbers), max(numbers)]
+    return out

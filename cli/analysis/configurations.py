@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.text import did_you_mean
 from locfuse.fusion.data import BASES, Drive, Estimates, LocfuseError, UsageError
-from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.fuse import configuration_name, fuse
 from locfuse.fusion.judge.credit import subsets
 from locfuse.fusion.measure import thinned
-from locfuse.fusion.paper.preset import fuser
-from locfuse.fusion.robot import Robot
+from locfuse.fusion.robot import Preset, Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
-from locfuse.fusion.whole_drive.smooth import fuse_and_smooth, why_not_smoothed
 
 from .errors import has_scipy
 from .settings import Asked
@@ -50,6 +48,8 @@ class Configuration(msgspec.Struct, frozen=True):
             return asked.smooth and bool(self.sensors)
         if asked.jitter or self.rates or LASER not in self.sensors:
             return False
+        from locfuse.fusion.whole_drive.smooth import why_not_smoothed
+
         return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
@@ -59,12 +59,23 @@ class Configuration(msgspec.Struct, frozen=True):
         """
         found: tuple[Estimates, ...]
         if smooth:
+            from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
+
             found = filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
             if not np.isfinite(whole.pose).all():
                 found = (replace(filtered, notes=(*filtered.notes, NOT_SMOOTHED)),)
         else:
             found = (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
         return tuple(replace(e, rates=self.rates) for e in found) if self.rates else found
+
+
+def fuser(preset: Preset) -> Callable[..., Estimates]:
+    """Return the function that runs the filter of a preset; its arguments are those of `fusion.fuse.fuse`."""
+    if preset == "paper":
+        from locfuse.fusion.paper.filter import fuse_as_printed
+
+        return fuse_as_printed
+    return fuse
 
 
 def parse(sensors: Sensors, drive: Drive) -> Configuration:

@@ -17,14 +17,13 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats.caps import MAX_REPORT
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_REPORT, read_small
 from locfuse.formats.logs.log import Log
-from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.report import json_report
 from locfuse.formats.report.changes import judged_by
 from locfuse.formats.report.structure import ReportedResult
 from locfuse.formats.report.summary import OVER_LOGS
+from locfuse.formats.text import did_you_mean
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 

@@ -13,11 +13,11 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from locfuse.formats.container.url import Url, is_url, place
+from locfuse.formats.container.file_bytes import Url, is_url, place
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import ENDINGS, REPORTS, log_name
 from locfuse.formats.logs.log import open_log
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 from locfuse.formats.whole_files import RESULTS
 from locfuse.fusion.data import LocfuseError, UsageError
 

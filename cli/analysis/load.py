@@ -15,11 +15,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse import sample_logs
-from locfuse.formats.container.url import Place, Url, place
+from locfuse.formats.container.file_bytes import Place, Url, place
 from locfuse.formats.logs.log import Log, open_log
-from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.visible import visible
+from locfuse.formats.text import did_you_mean, visible
 from locfuse.fusion import se2
 from locfuse.fusion.checks.examine import holes, longest_part, of_holes
 from locfuse.fusion.checks.finding import Finding
@@ -27,7 +26,6 @@ from locfuse.fusion.checks.laser_ranges import of_angles
 from locfuse.fusion.checks.start import START_SIGMAS, start_pose
 from locfuse.fusion.data import FAULT, Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import begun, led_back, measure, windowed
-from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -168,7 +166,7 @@ def measured(
     for sensor in REGISTRY:
         if only is not None and sensor not in only:
             choice.topics.pop(sensor, None)
-        is_lacking = tables["preset"] == "paper" and sensor not in filters.PAPER_SENSORS
+        is_lacking = tables["preset"] == "paper" and sensor not in robot_tables.PAPER_SENSORS
         if is_lacking and choice.topics.pop(sensor, ""):
             choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
     if both := set(choice.of("truth")) & set(choice.of("wheels")):
@@ -209,7 +207,7 @@ def measured(
     drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
     robot, drive = led_back(*begun(robot, drive), _first_scan(streams, robot, drive))
     _refuse_other_clock(log, drive)
-    preset = (filters.NOTE,) if robot.preset == "paper" else ()
+    preset = (robot_tables.PAPER_NOTE,) if robot.preset == "paper" else ()
     chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.is_fault)
     notes = (
         *preset,

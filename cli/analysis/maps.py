@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_WALLS, names_its_cap
-from locfuse.formats.robot import line_map, map_image
+from locfuse.formats.inputs import MAX_WALLS, names_its_cap
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
-from locfuse.fusion.map.given_map import Grid, at_start, find_start, walls_of
 
 from .load import Loaded, start_notes
+
+if TYPE_CHECKING:
+    from locfuse.fusion.map.given_map import Grid
 
 UNKNOWN_START_M = 1.0  # a configured start with a larger standard deviation is searched for
 FOUND_XY, FOUND_THETA_RAD = 0.15, math.radians(3.0)  # m, rad: standard deviations of a start found in the map
@@ -31,12 +33,15 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     Raises LocfuseError for a bad file and a map of another building, UsageError for the paper's filter, whose map
     is the first scan.
     """
+    from locfuse.formats.robot import map_files, map_image
+    from locfuse.fusion.map.given_map import Grid
+
     if loaded.robot.preset == "paper":
         raise UsageError("--map: the paper's filter knows its first scan's walls only; leave --preset paper out")
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
-        return _with_map(replace(loaded, given=None), line_map.read(file), str(file))
+        return _with_map(replace(loaded, given=None), map_files.read_lines(file), str(file))
     return _give_grid(replace(loaded, given=None), Grid(*map_image.read(file)), str(file))
 
 
@@ -48,6 +53,9 @@ def give_topic(loaded: Loaded) -> Loaded:
     topic = loaded.robot.settings("lrf").map_topic
     if topic is None or loaded.robot.preset == "paper":
         return loaded
+    from locfuse.formats.robot import map_image
+    from locfuse.fusion.map.given_map import Grid
+
     info = loaded.log.find(topic)
     if info is None or info.msgtype != GRID:
         what = "is not there" if info is None else f"is {info.msgtype}"
@@ -66,6 +74,8 @@ def give_topic(loaded: Loaded) -> Loaded:
 
 def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
     """Return the log with a grid's walls as its map; an unknown start is found by the first scans."""
+    from locfuse.fusion.map.given_map import at_start, find_start, walls_of
+
     drive, robot = loaded.drive, loaded.robot
     if (m := drive.measurements.get("lrf")) is None:
         raise drive.lacks("lrf")

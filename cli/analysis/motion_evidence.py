@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -22,8 +22,8 @@ from locfuse.fusion.data import Drive, LocfuseError, Measurements
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, understood
 from locfuse.fusion.lines.scans import Laser, equal_scans
 from locfuse.fusion.robot import Robot, WheelSettings
-from locfuse.fusion.sensors.level import FIELD, IMU
 from locfuse.fusion.sensors.lrf import Lrf, laser_of
+from locfuse.fusion.sensors.magnetic import FIELD, IMU
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, looks_like_truth
@@ -31,10 +31,12 @@ from locfuse.fusion.wheels.motion import Wheels, distances_explained, turns_expl
 from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
-from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
 from .mounts import mount_tables, refuse_far, transforms_of
 from .topics import Choice, Note, filled, of_sensor, of_type
+
+if TYPE_CHECKING:
+    from locfuse.fusion.wheels.scan_agreement import ScanPairs
 
 MAX_SPEEDS = 2  # topics of commanded or measured speeds that are scored beside scan matching
 MOUNT_KEYS = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
@@ -177,6 +179,8 @@ class MotionEvidence:
     def _judging(self, motions: Sequence[WheelReading]) -> ScanPairs | None:
         """Return the scan pairs, chosen by the first `motions` and then kept; None if they cannot judge."""
         if self._pairs is None:
+            from locfuse.fusion.wheels.scan_agreement import scan_pairs
+
             with suppress(LocfuseError):  # scans that cannot be read are reported where they are measured
                 stream = self._log.stream(self._topic, self._robot.order)
                 self._pairs = scan_pairs(stream, self._laser(), motions)

@@ -17,7 +17,7 @@ from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.mount import MAX_MOUNT_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
-from locfuse.fusion.sensors.level import FIELD, IMU, LevelledField, tilt_of
+from locfuse.fusion.sensors.magnetic import FIELD, IMU, LevelledField, tilt_of
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .topics import filled

@@ -14,7 +14,7 @@ from locfuse import sample_logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import counts, options
-from locfuse.formats.robot import units
+from locfuse.formats.robot import robot_toml
 from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
@@ -54,7 +54,7 @@ def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
         table, _, key = path.partition(".")
         if table not in loaded.drive.absent and plain.get(path) != value:
             source = loaded.sources.get(path, "found in the log")
-            found[path] = {"value": value, "unit": units.of(table, key), "from": source}
+            found[path] = {"value": value, "unit": robot_toml.unit_of(table, key), "from": source}
     return found
 
 

@@ -10,17 +10,15 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_ROBOT_TOML, MAX_TEXT_FILE
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_ROBOT_TOML, MAX_TEXT_FILE, read_small
 from locfuse.formats.logs.file_stream import SUFFIXES
 from locfuse.formats.logs.files import Identity
 from locfuse.formats.logs.log import Log
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
-from locfuse.formats.robot import landmark_map, robot_toml
+from locfuse.formats.robot import map_files, robot_toml
 from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError, UsageError
-from locfuse.fusion.paper import preset as filters
-from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.robot import Preset, Robot, StartSettings, TruthSettings, WheelSettings
 from locfuse.fusion.sensors.points import GROW, PointsSettings
 from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, of_points
 
@@ -28,6 +26,15 @@ from .settings import ORDERS, PRESETS, Asked, LogOptions
 
 KEY_OPTIONS = ("sensors", "all_subsets", "align", "smooth", "jitter", "reference")  # in a result's key
 FILES = "files"  # key of the hashes of the files that settings name
+PRESET_TABLES: dict[Preset, dict[str, Any]] = {  # default settings of a preset: all others override them
+    "default": {},
+    "paper": {"lrf": {"map": "first-scan"}, "camera": {"chain": "paper", "bearing": "absolute"}},
+}
+PAPER_SENSORS = ("compass", "lrf", "camera")
+PAPER_NOTE = (
+    "preset paper: the printed equations with the printed noise (delta, R); the sigmas, gates and the map of "
+    "robot.toml are not used. See docs/paper.md"
+)
 ATTACHMENT = "robot.toml"  # name of the log's attachment with settings
 UNREADABLE = (
     f"its settings (attachment {ATTACHMENT}) cannot be read: {{}}; its topics and defaults are used instead. Give "
@@ -95,7 +102,7 @@ def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, 
     tables = robot_toml.layered(*layers.values())
     tables.setdefault("preset", "default")
     sources = {key: who for who, above in layers.items() for key in flat(above)}
-    return robot_toml.merge(filters.TABLES[tables["preset"]], tables), sources
+    return robot_toml.merge(PRESET_TABLES[tables["preset"]], tables), sources
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
@@ -226,5 +233,5 @@ def with_point_maps(robot: Robot) -> Robot:
         path = Path(settings.map).expanduser()
         if not path.is_file():
             raise LocfuseError(f"no such file: {path}", role=name, hint=f"{name}.map names a .csv of id, x, y")
-        read[name] = msgspec.structs.replace(settings, map=landmark_map.read(path))
+        read[name] = msgspec.structs.replace(settings, map=map_files.read_landmarks(path))
     return replace(robot, sensors={**robot.sensors, **read})

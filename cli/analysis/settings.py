@@ -33,6 +33,7 @@ EXPORTS = {  # formats of other tools
 }
 PRESETS = ("default", "paper")
 ORDERS = ("auto", "stamp", "recorded")
+MAX_JITTERED_RUNS = 1000
 MAX_CELLS = 1000  # combinations of a sweep
 BETWEEN_VALUES = re.compile(r",(?![^\[{]*[\]}])")  # a comma that is not inside a list or a table
 UNFIT_FOR_FOLDER = re.compile(r"[\s/\\]")  # in the name of a folder
@@ -194,7 +195,7 @@ def path_of(path: PathLike) -> Path:
 
 def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
     """Return the paths of one log or of its parts as command-line words. Raises UsageError for an empty list."""
-    from locfuse.formats.container.url import is_url
+    from locfuse.formats.container.file_bytes import is_url
 
     parts = [log] if isinstance(log, str | os.PathLike) else list(log)
     if not parts:
@@ -207,6 +208,13 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
     if word not in known:
         raise _misuse(f"{what} = {word!r}: choose from {', '.join(known)}")
     return word
+
+
+def check_jitter(runs: int) -> int:
+    """Return the number of jittered runs. Raises UsageError unless it is in 0..MAX_JITTERED_RUNS."""
+    if not 0 <= runs <= MAX_JITTERED_RUNS:
+        raise _misuse(f"--jitter {runs}: give a number of runs from 1 to {MAX_JITTERED_RUNS}")
+    return runs
 
 
 def by_default(known: Sequence[str]) -> list[str]:

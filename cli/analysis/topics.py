@@ -9,7 +9,7 @@ import msgspec
 
 from locfuse.formats.logs.adapters import PRESENTED, presented_name
 from locfuse.formats.logs.log import Log
-from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.text import did_you_mean
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY

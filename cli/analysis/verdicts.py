@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec.structs import asdict, replace
 
 from locfuse.formats.report.findings import change, in_one_unit, length
 from locfuse.fusion.data import ODOMETRY, Evaluation
-from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, RunInnovations, judge
 from locfuse.fusion.judge.credit import MIN_EFFECT, Credit, Effect, SensorCredit, overconfident, unsure, verdict
 from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
-from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
+from locfuse.fusion.judge.without_truth import MIN_GAIN_NATS, Score, contradictions, ranking
 from locfuse.fusion.robot import Robot
+
+if TYPE_CHECKING:
+    from locfuse.fusion.whole_drive.reference import Reference
 
 REFERENCE = (
     "Errors are measured against the smoothed solution of the {base}{sensors} (1 sigma {sigma}), not against "

@@ -11,8 +11,16 @@ from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.odometry import SCANS
-from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
-from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
+from locfuse.fusion.wheels.read import (
+    ARRAYS,
+    JOINTS,
+    NUMBERS,
+    SPEEDS,
+    TICKS,
+    WHEEL_READS,
+    counts_ticks,
+    joint_names,
+)
 from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves, with_steering

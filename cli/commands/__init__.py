@@ -1,1 +1,1 @@
-"""The commands of `locfuse`, one file each."""
+"""The commands of `locfuse`; a file is imported when one of its commands is used."""

@@ -14,14 +14,14 @@ from click.core import ParameterSource
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, Outputs
-from locfuse.cli.terminal import completion, options as o
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, say
 
 ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options for finished results
 
 
 @click.command(cls=o.Grouped)
-@click.argument("log", nargs=-1, shell_complete=completion.logs)
+@click.argument("log", nargs=-1, shell_complete=o.complete_log)
 @o.carried(
     *o.CONFIGURATIONS,
     o.each(
@@ -155,8 +155,7 @@ def _refuse_log_options() -> None:
 def _read(file: Path) -> dict[str, Any]:
     import json
 
-    from locfuse.formats.caps import MAX_REPORT
-    from locfuse.formats.inputs import read_small
+    from locfuse.formats.inputs import MAX_REPORT, read_small
     from locfuse.formats.report import changes as sides, json_report
     from locfuse.fusion.data import LocfuseError
 

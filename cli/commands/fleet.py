@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS, swept
 from locfuse.cli.rerun.record import FOLDER, catalog
-from locfuse.cli.terminal import completion, options as o, show
+from locfuse.cli.terminal import options as o, show
 from locfuse.cli.terminal.screen import put
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
@@ -28,7 +28,7 @@ MAX_LINES_PRINTED = 20  # of losses or gates on stderr; the tables have all
 
 
 @click.command(cls=o.Grouped)
-@click.argument("log", nargs=-1, shell_complete=completion.logs)
+@click.argument("log", nargs=-1, shell_complete=o.complete_log)
 @o.carried(
     *o.fleet(),
     *o.CONFIGURATIONS,
@@ -69,7 +69,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
     from locfuse.cli.fleet.jobs import FleetRows, plan
     from locfuse.cli.fleet.queue import NOT_RUN
     from locfuse.cli.session.summary import SUMMARY, summarised, write_summary
-    from locfuse.formats.fleet.entry import Entry
+    from locfuse.formats.report.fleet import Entry
     from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer, write_results
 
     how, outputs, fleet = options.how, options.outputs, options.fleet

@@ -57,7 +57,7 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     from locfuse.cli.terminal import show
     from locfuse.formats.logs.log import open_log
     from locfuse.formats.robot import robot_localization
-    from locfuse.formats.robot.commented_toml import printable, render
+    from locfuse.formats.robot.robot_toml import printable, render
     from locfuse.formats.whole_files import may_replace, write_text
 
     how, out = options.how, options.outputs.out
@@ -124,9 +124,9 @@ def _asked(made: Draft) -> tuple[str, ...]:
 
 def _updated(made: Draft, file: Path) -> str:
     """Return the text of a robot.toml; keys that the file lacks and the log shows are added."""
-    from locfuse.formats.robot import commented_toml, robot_toml
+    from locfuse.formats.robot import robot_toml
 
-    text = commented_toml.text_of(file)
+    text = robot_toml.text_of(file)
     there = robot_toml.parse(text, str(file))
     changes: dict[str, Any] = {}
     for section in (s for s in made.sections if s.name):
@@ -134,7 +134,7 @@ def _updated(made: Draft, file: Path) -> str:
         shown = [line for line in section.lines if line.holds and line.value is not None]
         new = {line.key: line.value for line in shown if line.key not in known}
         changes |= {section.name: new} if new else {}
-    return commented_toml.updated(text, changes, "locfuse init --update")
+    return robot_toml.updated(text, changes, "locfuse init --update")
 
 
 def _head(made: Draft, words: str, name: str) -> str:

@@ -31,7 +31,7 @@ def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, qui
     from locfuse.cli.terminal import show
     from locfuse.formats.logs.log import open_log
     from locfuse.formats.report import json_report
-    from locfuse.formats.results.recovered_log import recover as copy
+    from locfuse.formats.results.mcap_export import recover as copy
     from locfuse.formats.whole_files import may_replace
 
     may_replace(out, overwrite, log)

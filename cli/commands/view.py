@@ -10,18 +10,18 @@ from pathlib import Path
 import click
 
 from locfuse.cli.rerun.record import RECORDING
-from locfuse.cli.terminal import completion, options as o
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import say
 
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
 
 @click.command(cls=o.Grouped)
-@click.argument("log", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd", shell_complete=completion.logs)
+@click.argument("log", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd", shell_complete=o.complete_log)
 @o.each(
     "--sensors",
     "A configuration to show. Repeatable.  [default: those of compare]",
-    shell_complete=completion.sensors,
+    shell_complete=o.complete_sensors,
 )
 @o.option("--save", "Write the recording to this file; open no viewer.", type=o.FILE, metavar="FILE.rrd")
 @o.OVERWRITE

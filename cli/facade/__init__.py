@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from locfuse.cli.session.session import Session, evaluate, fuse, info, load, open_log, smooth
     from locfuse.cli.session.simulate import simulate
     from locfuse.cli.session.summary import Summary, compare
-    from locfuse.fusion.chi_square import chi_square
     from locfuse.fusion.data import Colour, Component, Drive, Estimates, Evaluation, LocfuseError, Measurements
     from locfuse.fusion.sensor import Ask, Model, Sensor, SensorSettings
     from locfuse.fusion.sensors.registry import register
+    from locfuse.fusion.statistics import chi_square
 
     __version__: str
 
@@ -43,7 +43,7 @@ _HOMES = {
         ("Colour", "Component", "Drive", "Estimates", "Evaluation", "LocfuseError", "Measurements"), "fusion.data"
     ),
     **dict.fromkeys(("Ask", "Model", "Sensor", "SensorSettings"), "fusion.sensor"),
-    "chi_square": "fusion.chi_square",
+    "chi_square": "fusion.statistics",
     "register": "fusion.sensors.registry",
 }
 __all__ = [

@@ -23,10 +23,9 @@ from locfuse.cli.analysis.results import lost_in
 from locfuse.cli.analysis.robot_tables import given_layers, given_tables, key
 from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs, cells, swept
 from locfuse.cli.rerun.record import file_in
-from locfuse.formats.caps import MAX_REPORT
-from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_REPORT, read_small
 from locfuse.formats.logs.files import files_of, identity_of
+from locfuse.formats.report.fleet import Entry, slim
 from locfuse.formats.whole_files import TEMPORARY
 from locfuse.fusion.checks.together import Look
 from locfuse.fusion.checks.tried import Fixes

@@ -19,18 +19,17 @@ from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
 from locfuse.cli.analysis.topics import Choice, Note, filled, types
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
 from locfuse.formats.logs.log import Log
-from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
+from locfuse.formats.robot.transforms import StaticTransforms, WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, ODOMETRY as WHEELS, LocfuseError, Ragged, Stream, Truth
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
+from locfuse.fusion.wheels.calibrate import Geometry, geometry_by_motion, geometry_by_odometry
 from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle, nominal, of_truth
-from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
-from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
+from locfuse.fusion.wheels.read import JOINTS, USUAL_TICKS, joint_names
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .topics import TopicFacts
@@ -111,11 +110,11 @@ def find_robot_facts(overview: Overview) -> RobotFacts:
     odometry = [t for t in filled(log, ODOMETRY) if not looks_like_truth(t)]
     if odometry:
         source = odometry[0]
-        fitted = by_odometry(both, log.stream(source), settings)
+        fitted = geometry_by_odometry(both, log.stream(source), settings)
     elif loaded is not None and loaded.drive.wheels.matched is not None and loaded.reading is not None:
         source = BY_SCANS
         with suppress(LocfuseError):  # reported where the counters are used
-            fitted = by_motion(both, loaded.reading, settings)
+            fitted = geometry_by_motion(both, loaded.reading, settings)
     return RobotFacts(described, counters, fitted, source, ticks, joints)
 
 

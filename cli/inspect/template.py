@@ -1,38 +1,40 @@
-"""The draft of robot.toml by `init`: settings found by `inspect_log`, as lines with comments.
+"""The draft of robot.toml by `init`: settings found by `inspect_log`, and figures of known robots, with comments.
 
-Lines with known values are active; the others have a comment on how to find the value.
+Lines with known values are active; the others have a comment on how to find the value. A robot that many people
+own is recognised by message types, topic names or frames in the log.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import msgspec
 from msgspec.structs import replace
 
+from locfuse import robots
 from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.load import Parts
 from locfuse.cli.analysis.mounts import is_base
 from locfuse.cli.analysis.robot_tables import attached, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, Progress, set_words
-from locfuse.cli.analysis.topics import filled
+from locfuse.cli.analysis.topics import filled, of_type
 from locfuse.cli.analysis.wheel_topics import steers
+from locfuse.formats.logs.log import Log
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.robot.commented_toml import TomlLine, TomlSection
+from locfuse.formats.robot.robot_toml import TomlLine, TomlSection
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensor import Ask
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
-from locfuse.fusion.wheels.read import counts_ticks
-from locfuse.fusion.wheels.sources import JOINTS
+from locfuse.fusion.wheels.odometry import BODY_READS, SCANS, STEERED
+from locfuse.fusion.wheels.read import JOINTS, NUMBERS, TICKS, counts_ticks
 from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
 from .inspect_log import inspect_log
-from .known_robots import open_figures, recognise
 from .robot_facts import Overview, placed_by
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> (value, source)
@@ -110,7 +112,7 @@ def draft(log: Parts, how: LogOptions, progress: Progress, imported: Mapping[str
         sets = (robot_toml.as_set(key, value) for key, (value, _) in fixes.items())
         return inspect_log(log, replace(how, sets=(*how.sets, *sets)), progress)
 
-    if (known_robot := recognise(overview)) is not None:
+    if (known_robot := recognise_robot(overview)) is not None:
         model, sign = known_robot
         fixes = open_figures(model, overview, {*given, *shown, *found(overview)})
         robot = f"this robot is a {model} ({sign})" if fixes else ""
@@ -307,3 +309,77 @@ def _has_effect(facts: Facts, table: str, key: str) -> bool:
 def _instruction(table: str, key: str) -> Ask | None:
     """Return the instruction how to find the value of a key; None if the key has none."""
     return (REGISTRY[table].asks if table in REGISTRY else HOW_TO_MEASURE.get(table, {})).get(key)
+
+
+# Name -> signs, of which one is enough: a package of message types, a word in a topic's name, a set of frames.
+SIGNS_OF_ROBOTS: dict[str, tuple[str | frozenset[str], ...]] = {
+    "turtlebot4": ("turtlebot4_msgs", frozenset({"rplidar_link", "shell_link"})),
+    "create3": ("irobot_create_msgs",),
+    "turtlebot2": ("kobuki_msgs", "kobuki"),
+    "turtlebot3_waffle": (frozenset({"base_scan", "caster_back_left_link"}),),
+    "turtlebot3_burger": (frozenset({"base_scan", "caster_back_link"}), "turtlebot3_msgs"),
+    "duckiebot": ("duckietown_msgs",),
+    "jackal": ("jackal_msgs", "jackal", "j100"),
+    "husky": ("husky_msgs", "husky", "a200"),
+    "pioneer3dx": ("rosaria", "p2os", "p3dx"),
+    "mbot": ("mbot_interfaces", "mbot"),
+}
+UNSURE_NOTES = {"turtlebot3_msgs": "; if it is a Waffle: wheels.track=0.287 and lrf.x=-0.064"}
+COUNTER_KEYS = ("radius", "track", "ticks_per_revolution")  # an odometry needs none of them
+
+
+def recognise_robot(overview: Overview) -> tuple[str, str] | None:
+    """Return the first known robot model with message types, topic names or frames in the log, and this sign."""
+    packages = {topic.msgtype.partition("/")[0] for topic in overview.log.topics.values()}
+    words = {word for topic in overview.log.topics for word in re.split(r"[/_]", topic.lower())}
+    frames = {edge.child for edge in overview.transforms.edges}
+    for name, signs in SIGNS_OF_ROBOTS.items():
+        for sign in signs:
+            if isinstance(sign, frozenset):
+                if sign <= frames:
+                    return name, f"frames {' and '.join(sorted(sign))}"
+            elif sign in packages:
+                return name, f"messages of {sign}{UNSURE_NOTES.get(sign, '')}"
+            elif sign in words:
+                return name, f"topics named {sign}"
+    return None
+
+
+def open_figures(model: str, overview: Overview, given: Collection[str]) -> dict[str, tuple[Any, str]]:
+    """Return {key: (value, source in words)} of a known robot for needed settings that are not `given`."""
+    found: dict[str, tuple[Any, str]] = {}
+    for key, figure in robots.figures(model).items():
+        table, _, name = key.partition(".")
+        if key not in given and _needed(overview, table, name, figure.value, given):
+            found[key] = figure.value, f"by robots/{model}.toml, {figure.words}"
+    return found
+
+
+def _needed(overview: Overview, table: str, name: str, value: object, given: Collection[str]) -> bool:
+    if table in REGISTRY:  # a mount is used completely or not at all
+        return bool(overview.choice.of(table)) and f"{table}.x" not in given
+    kind = _wheels_kind(overview)
+    if name in {"left", "right"}:
+        return kind == JOINTS and _has_joint(overview.log, value)
+    if name == "ticks_per_revolution":
+        return counts_ticks(kind) if kind else False
+    return bool(kind) or name not in COUNTER_KEYS
+
+
+def _wheels_kind(overview: Overview) -> str:
+    """Return the message type of the wheel counters; "" for an odometry, or without counters."""
+    topics = overview.choice.of("wheels")
+    kind = overview.log.topics[topics[0]].msgtype if topics else SCANS
+    if kind != SCANS:  # scan matching is also used if the size of the wheels is unknown
+        return "" if kind in BODY_READS else kind
+    kinds = (overview.log.topics[t].msgtype for t in of_type(overview.log, (JOINTS, *TICKS, *NUMBERS)))
+    return next(kinds, "")
+
+
+def _has_joint(log: Log, name: object) -> bool:
+    for topic in of_type(log, (JOINTS,)):
+        with suppress(LocfuseError):  # an unreadable topic has its own finding
+            rows = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
+            if any(name in row for row in set(rows)):
+                return True
+    return False

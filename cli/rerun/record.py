@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from locfuse.cli.analysis.settings import Outputs
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
@@ -23,13 +23,11 @@ CATALOG_PORT = 51234  # Rerun's own default for a catalog
 
 
 def record(outputs: Outputs, result: Result, folder: Path, say: Say) -> None:
-    """Write and show a result's recording as the options require; a failure is a warning.
+    """Write a result's recording, and show it if the options require it; a failure is a warning.
 
     The recording is in the folder of results, where `locfuse view FOLDER` finds it, or in the file that
     --rerun-save names. Raises LocfuseError if this file cannot be written.
     """
-    if not outputs.recorded:
-        return
     from locfuse.fusion.data import LocfuseError
 
     from .viewer import show

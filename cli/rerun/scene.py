@@ -13,12 +13,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.load import Loaded, common_fields
-from locfuse.cli.analysis.outputs import events, places
 from locfuse.cli.session.foreign import estimates_in
-from locfuse.cli.session.result import Result
-from locfuse.formats.caps import MAX_REPORT
+from locfuse.cli.session.result import Result, events, places
 from locfuse.formats.figures.palette import Trace, colours, traces_in, traces_of
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_REPORT, read_small
 from locfuse.formats.logs.clock import MadeStream
 from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.report import json_report, markdown
@@ -31,7 +29,6 @@ from locfuse.formats.rerun.scene import (
     Rgb,
     SensorLook,
 )
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Column, Drive, LocfuseError, Motions, Ragged, Stream, Truth, evenly
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.lines.points import ScanPoints
@@ -41,6 +38,7 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, TruthSettings
 from locfuse.fusion.sensors.camera import detector
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY, colours as sensor_colours
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import seconds
 from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.odometry import POSE

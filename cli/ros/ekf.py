@@ -18,11 +18,11 @@ import numpy as np
 
 from locfuse.formats.robot.robot_localization import ACCELERATION, INPUT, SPEED, SWITCH_COUNT, TURN, YAW, X, Y
 from locfuse.formats.robot.ros_yaml import ASSUMED, KEPT, Origin, Setting
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
 from locfuse.fusion.sensors.gyro import BIAS, up_rate
-from locfuse.fusion.sensors.level import IMU
+from locfuse.fusion.sensors.magnetic import IMU
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.wheels.odometry import ODOMETRY
 from locfuse.fusion.wheels.velocity_noise import random_walk
 

@@ -18,15 +18,14 @@ from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.cli.session.calibrate import Calibration, calibrate_logs
 from locfuse.cli.session.session import opened
 from locfuse.cli.session.tune import Tuning, tune_logs
-from locfuse.formats.caps import MAX_REPORT, MAX_ROBOT_TOML
-from locfuse.formats.inputs import read_small
+from locfuse.formats.inputs import MAX_REPORT, MAX_ROBOT_TOML, read_small
 from locfuse.formats.robot.robot_toml import as_set, parse
 from locfuse.formats.robot.ros_yaml import FOUND, KEPT, SET, Origin, Setting, Value
-from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Estimates, LocfuseError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import SIGMAS_95
 from locfuse.fusion.wheels.velocity_noise import VelocityNoise, velocity_noise
 
 MAX_FIRST = 4  # largest number of repetitions of a command, each after setting fixes

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from locfuse.formats.robot.ros_yaml import KEPT, Setting
-from locfuse.fusion.sensors.level import FIELD
+from locfuse.fusion.sensors.magnetic import FIELD
 from locfuse.fusion.truth import FIX
 from locfuse.fusion.wheels.odometry import ODOMETRY
 

@@ -14,23 +14,26 @@ from locfuse.cli.analysis.load import Loaded, Parts, load
 from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.formats.columns import nested
 from locfuse.fusion.checks.turning import RATIO
-from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.sensors.iron import Iron, fit_iron
-from locfuse.fusion.sensors.level import FIELD
 from locfuse.fusion.sensors.lrf import laser_of
+from locfuse.fusion.sensors.magnetic import FIELD, Iron, fit_iron
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import SIGMAS_95
 from locfuse.fusion.streams import MergedStream
-from locfuse.fusion.wheels import calibrate_by_scans
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, Figure, WheelCalibration, calibrate_wheels
-from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_by_gyro
-from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, ScanMotions
 from locfuse.fusion.wheels.calibrate_tricycle import (
     ReferenceMotion,
     TricycleCalibration,
     calibrate_tricycle,
     of_truth,
+)
+from locfuse.fusion.wheels.calibrate_without_truth import (
+    GyroCalibration,
+    LaserCalibration,
+    ScanMotions,
+    calibrate_by_gyro,
+    calibrate_by_scans,
 )
 from locfuse.fusion.wheels.motion_by_scans import match_scans
 from locfuse.fusion.wheels.odometry import ODOMETRY
@@ -398,7 +401,7 @@ def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
         names = ", ".join(one.log.name for one in loaded)
         raise LocfuseError(f"no wheels and laser together in {names}", role="laser")
     progress("matching scans")
-    return calibrate_by_scans.calibrate([motion_of_both(one) for one in both])
+    return calibrate_by_scans([motion_of_both(one) for one in both])
 
 
 def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:

@@ -12,11 +12,11 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.topics import checked
 from locfuse.fusion import se2
 from locfuse.fusion.data import BASES, PLANE_ROWS, Array, Drive, Estimates, LocfuseError, Stream, UsageError
-from locfuse.fusion.judge.against import interpolated
 from locfuse.fusion.sensors.pose import WITH_COVARIANCE
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import seconds
 from locfuse.fusion.wheels.odometry import POSE
+from locfuse.fusion.whole_drive.reference import interpolated
 
 ESTIMATE_NAME = re.compile(r"[A-Za-z][\w.-]*")
 COVARIANCE = "pose.covariance"

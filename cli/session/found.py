@@ -12,7 +12,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.results import loss_lines
 from locfuse.cli.analysis.settings import LogOptions, PathLike, path_of
 from locfuse.formats.report.findings import options
-from locfuse.formats.robot import commented_toml, robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import may_replace, write_text
 from locfuse.fusion.checks.clocks import CLOCK
 from locfuse.fusion.checks.examine import HOLE, examine, holes, of_holes
@@ -73,9 +73,9 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         """
         path = path_of(file)
         may_replace(path, overwrite)
-        text = commented_toml.text_of(next(iter(self.how.robots), None)) or self.before()
+        text = robot_toml.text_of(next(iter(self.how.robots), None)) or self.before()
         changes = robot_toml.merge(self.given(), self.tables())
-        write_text(path, commented_toml.updated(text, changes, f"locfuse {self.command}"))
+        write_text(path, robot_toml.updated(text, changes, f"locfuse {self.command}"))
         return path
 
     def __repr__(self) -> str:
@@ -85,7 +85,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
     def _repr_html_(self) -> str:
         """Return the table and the notes as HTML for a notebook."""
-        from locfuse.formats.report.notebook import table_and_notes
+        from locfuse.formats.report.html import table_and_notes
 
         return table_and_notes(self.titles, self.rows(), self.notes)
 

@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.analysis import outputs
 from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.for_paper import draw
@@ -26,6 +25,7 @@ from locfuse.sample_logs.paths import polygon
 from locfuse.sample_logs.scenario import Polygon
 from locfuse.sample_logs.simulate import in_memory
 
+from . import result
 from .result import Comparison
 from .session import load
 from .simulate import localise
@@ -128,7 +128,7 @@ class Repeated(msgspec.Struct, frozen=True):
 
     def panels(self, which: str) -> dict[str, list[Panel]]:
         """Return figures 12 (trajectories) and 13 (deviations) of a filter: "ours", or "print" (as printed)."""
-        found = {p.name: p for s in sections(outputs.scene(self.compared[which].compared)) for p in s.panels}
+        found = {p.name: p for s in sections(result.scene(self.compared[which].compared)) for p in s.panels}
         tail = "" if which == "ours" else "_print"
         map_ = found["trajectories"]
         bare = replace(map_, marks=tuple(m for m in map_.marks if not (isinstance(m, Spots) and m.of == "time")))

@@ -1,41 +1,45 @@
-"""The result of a run or a comparison: estimates, evaluations, a report, and its files."""
+"""The result of a run or a comparison: estimates, evaluations, a report, and its files, also for other tools."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from functools import cached_property
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.cli.advice.report import fixes_file, forget_fixes
-from locfuse.cli.analysis import outputs, results
+from locfuse.cli.analysis import results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.robot_tables import files_of
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
-from locfuse.formats.figures.for_paper import on_axes, paper_figures
-from locfuse.formats.figures.palette import Trace, traces_of
-from locfuse.formats.figures.panels import Panel
-from locfuse.formats.figures.sections import sections
-from locfuse.formats.figures.where import trajectories
-from locfuse.formats.nearest import did_you_mean
-from locfuse.formats.report import json_report
+from locfuse.cli.analysis.verdicts import credit_values
+from locfuse.formats.logs.clock import MAX_DELAY_S
+from locfuse.formats.report import json_report, table, tables
 from locfuse.formats.report.findings import notes_of, void_reasons
-from locfuse.formats.report.table import records
-from locfuse.formats.report.tables import everything
-from locfuse.formats.results.trajectory import audit_csv
-from locfuse.formats.robot import landmark_map, line_map, robot_toml
-from locfuse.formats.visible import visible
+from locfuse.formats.results import trajectory as to
+from locfuse.formats.robot import robot_toml
+from locfuse.formats.text import did_you_mean, visible
 from locfuse.formats.whole_files import Content, write_results, write_text
-from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Event, UsageError
 from locfuse.fusion.judge.credit import Credit
+from locfuse.fusion.judge.evaluate import events_of_drive, events_of_run
+from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY, colours
+from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
+from locfuse.fusion.statistics import chi_square
+from locfuse.fusion.wheels.motion import WHEEL_STATES
 
 from .python_words import in_python, speaks_python
+
+if TYPE_CHECKING:
+    from locfuse.formats.figures.palette import Trace
+    from locfuse.formats.figures.panels import Panel, Scene
 
 V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the default ones
@@ -154,7 +158,8 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
         Without matplotlib, return the report's figure, an SVG for a notebook.
         """
-        from locfuse.formats.report.notebook import NotebookFigure
+        from locfuse.formats.figures.for_paper import on_axes
+        from locfuse.formats.report.html import NotebookFigure
 
         panel, traces = self._trajectories()
         try:
@@ -164,7 +169,10 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     def _trajectories(self) -> tuple[Panel, Mapping[str, Trace]]:
         """Return the figure of all paths, and the line style of each."""
-        panel = trajectories(outputs.scene(self.compared)).panels[0]
+        from locfuse.formats.figures.palette import traces_of
+        from locfuse.formats.figures.where import trajectories
+
+        panel = trajectories(scene(self.compared)).panels[0]
         return panel, traces_of(self.estimates.values())
 
     def table(self) -> list[dict[str, Any]]:
@@ -173,7 +181,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         "configuration" is the result's name; figures are in SI units with the unit in the key, None where a
         figure does not exist; `<sensor>_accepted`, `_rejected`, `_absent`, `_nis` count its measurements.
         """
-        return records(everything(self.report))
+        return table.records(tables.everything(self.report))
 
     def losses(self, strict: bool = False) -> list[str]:
         """Return a line for each loss: lost bytes, over 1 % refused readings of a used sensor, void figures.
@@ -189,10 +197,10 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     def _repr_html_(self) -> str:
         """Return headline, findings, verdicts, table and trajectories as HTML for a notebook."""
-        from locfuse.formats.report import notebook
+        from locfuse.formats.report import html
 
         panel, traces = self._trajectories()
-        return notebook.render(self.report, in_python) + notebook.NotebookFigure(panel, traces, colours()).html()
+        return html.notebook_report(self.report, in_python) + html.NotebookFigure(panel, traces, colours()).html()
 
     @speaks_python
     def write(
@@ -213,7 +221,7 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         robot: dict[str, Content] = {"robot.toml": robot_toml.dump(results.settings_tables(self.robot))}
         files = robot | self._files(write) | fixes_file(self.report)
         formats = chosen(export, list(EXPORTS), "--export: unknown format")
-        files |= outputs.exported_files(formats, self.loaded, self._by_file())
+        files |= exported_files(formats, self.loaded, self._by_file())
         written = self._written(folder, files, overwrite)
         forget_fixes(written)
         return written
@@ -246,7 +254,7 @@ class Run(Result, frozen=True, eq=False):
 
     def _files(self, write: Kinds) -> dict[str, Content]:
         kinds = chosen(write, OF_RUN)
-        files = outputs.exported_files(kinds - {"json"}, self.loaded, self._by_file())
+        files = exported_files(kinds - {"json"}, self.loaded, self._by_file())
         return files | ({"run.json": json_report.encode(self.report)} if "json" in kinds else {})
 
     def _by_file(self) -> Mapping[str, Estimates]:
@@ -255,7 +263,7 @@ class Run(Result, frozen=True, eq=False):
     @speaks_python
     def write_audit(self, file: PathLike) -> None:
         """Write every measurement with its NIS, gate threshold and verdict as CSV."""
-        write_text(path_of(file), audit_csv(self.drive, self.filtered))
+        write_text(path_of(file), to.audit_csv(self.drive, self.filtered))
 
     @speaks_python
     def save_map(self, file: PathLike) -> None:
@@ -264,16 +272,18 @@ class Run(Result, frozen=True, eq=False):
         To a .csv, write the landmarks or anchors that the run estimated (`landmarks.map = "grow"`): use it as
         `landmarks.map`.
         """
+        from locfuse.formats.robot import map_files
+
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 hint = "--set landmarks.map=grow makes a map of them"
                 raise UsageError("save_map: this run placed no landmarks", hint=hint)
-            write_text(path_of(file), landmark_map.encode(self.filtered.points))
+            write_text(path_of(file), map_files.encode_landmarks(self.filtered.points))
             return
         if "lrf" not in self.filtered.sensors:
             words = "only the laser has a map, and this run did not use it; add lrf to its sensors"
             raise UsageError(f"save_map: {words}")
-        write_text(path_of(file), line_map.encode(self.filtered.final_map, self.loaded.log.name))
+        write_text(path_of(file), map_files.encode_lines(self.filtered.final_map, self.loaded.log.name))
 
 
 class Comparison(Result, frozen=True, eq=False):
@@ -290,11 +300,125 @@ class Comparison(Result, frozen=True, eq=False):
         return self.compared.credit
 
     def _files(self, write: Kinds) -> dict[str, Content]:
-        return outputs.files(self.compared, self.report, chosen(write, OF_COMPARISON))
+        return files(self.compared, self.report, chosen(write, OF_COMPARISON))
 
     @speaks_python
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
-        shown = sections(outputs.scene(self.compared))
+        from locfuse.formats.figures.for_paper import paper_figures
+        from locfuse.formats.figures.palette import traces_of
+        from locfuse.formats.figures.sections import sections
+
+        shown = sections(scene(self.compared))
         figures = paper_figures(shown, traces_of(self.compared.estimates), colours())
         return self._written(folder, figures, overwrite=True)
+
+
+MCAP = "estimates.mcap"
+
+
+def files(compared: Compared, report: Mapping[str, Any], kinds: Collection[str]) -> dict[str, Content]:
+    """Return file name -> content for these kinds of output."""
+    from locfuse.formats.report import markdown
+
+    drive, out = compared.loaded.drive, dict[str, Content]()
+
+    def page() -> str:
+        from locfuse.formats.figures.sections import sections
+        from locfuse.formats.report import html  # imports markupsafe
+
+        return html.render(report, sections(scene(compared)), colours())
+
+    if "tum" in kinds:
+        out |= exported_files(["tum"], compared.loaded, {e.name: e for e in compared.estimates})
+        out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
+    made: dict[str, Callable[[], str]] = {
+        "html": page,
+        "md": lambda: markdown.render(report),
+        "csv": lambda: table.csv(tables.everything(report)),
+        "tex": lambda: tables.latex(report),
+        "json": lambda: json_report.encode(report),
+    }
+    return out | {f"report.{kind}": make() for kind, make in made.items() if kind in kinds}
+
+
+def scene(compared: Compared) -> Scene:
+    """Return all data that figures show: drive, estimates, evaluations, and NIS with chi-square bounds."""
+    from locfuse.formats.figures.panels import Scene
+
+    drive, drawn = compared.loaded.drive, compared.drawn
+    dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
+    return Scene(
+        drive=drive,
+        estimates=[drawn.best if drawn.best and drawn.best.name == e.name else e for e in compared.estimates],
+        evaluations=compared.evaluations,
+        nis=drawn.nis,
+        nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
+        components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
+        credit=credit_values(compared.credit) if compared.credit else None,
+        landmarks=_landmarks(compared),
+        events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
+        states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
+    )
+
+
+def places(sensor: str, settings: Any) -> list[tuple[float, float]]:
+    """Return the configured positions [m, map frame] of a sensor's landmarks and anchors."""
+    given = settings.places.values() if sensor in of_points() and not settings.grows else ()
+    found = (REGISTRY[sensor].landmark(settings), *given)
+    return [(float(p[0]), float(p[1])) for p in found if p is not None]
+
+
+def _landmarks(compared: Compared) -> list[tuple[float, float]]:
+    """Return positions [m, map frame] of landmarks and anchors, given or estimated."""
+    loaded = compared.loaded
+    found = [p for s in loaded.drive.measurements for p in places(s, loaded.robot.settings(s))]
+    best = max(compared.estimates, key=lambda e: (len(e.points), len(e.sensors)))
+    return list(dict.fromkeys([*found, *((float(x), float(y)) for _, x, y in best.points)]))
+
+
+def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
+    """Return timed events: fault labels of the log, events of the drive and of runs with audits."""
+    found = [*loaded.labels, *events_of_drive(loaded.drive)]
+    for e in runs:
+        found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
+    return sorted(found)
+
+
+def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
+    """Return file name -> content in the formats of other tools; `found` has the trajectories by file name."""
+    out: dict[str, Content] = {}
+    writers: dict[str, dict[str, Callable[[Drive, Estimates], Iterator[str]]]] = {
+        "kitti": {"_kitti.txt": to.kitti_blocks, "_kitti_times.txt": to.kitti_times},
+        "tum": {".tum": to.tum_blocks},
+        "tum-cov": {"_cov.tum": to.tum_covariance_blocks},
+        "csv": {".csv": to.csv_blocks},
+    }
+    for ending, blocks in ((end, b) for kind in kinds for end, b in writers.get(kind, {}).items()):
+        out |= {f"{n}{ending}": partial(to.write_blocks, blocks(loaded.drive, e)) for n, e in found.items()}
+    if {"mcap", "log"} & set(kinds):
+        out |= _mcap(loaded, found, "log" in kinds)
+    return out
+
+
+def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dict[str, Content]:
+    """Return the MCAP file with the estimates as ROS 2 messages, and layouts to show it."""
+    from locfuse.formats.results.mcap_export import Export, layouts
+
+    tables = results.settings_tables(loaded.robot)
+    for name, key, text in list(files_of(tables)):
+        if not loaded.log.recorded(text):  # a file that is not part of the exported copy
+            tables[name].pop(key, None)
+    drive = loaded.drive
+    delay_s = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
+    dt = np.diff(drive.t, prepend=drive.t[0])
+    export = Export(
+        drive=drive,
+        estimates=tuple(found.values()),
+        # mean body twist (n, 3) [m/s, m/s, rad/s] by the wheels over the interval that ends at each t
+        twist=se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None],
+        robot_toml=robot_toml.dump(tables).encode(),
+        clock_ns=round(delay_s * 1e9) if abs(delay_s) > MAX_DELAY_S else 0,
+        log=loaded.log if with_log else None,
+    )
+    return {MCAP: export.write, **layouts(export.topics)}

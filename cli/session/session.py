@@ -14,7 +14,15 @@ from msgspec.structs import replace
 from locfuse.cli.advice.evaluator import advise, advise_on_run
 from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
-from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log, with_others
+from locfuse.cli.analysis.compare import (
+    Compared,
+    add_jitter,
+    compare_log,
+    report_of,
+    report_of_run,
+    run_log,
+    with_others,
+)
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load as load_log, with_settings
 from locfuse.cli.analysis.results import say_motion
@@ -27,6 +35,7 @@ from locfuse.cli.analysis.settings import (
     Progress,
     Sets,
     cells,
+    check_jitter,
     log_options,
     one_of,
     path_of,
@@ -37,16 +46,13 @@ from locfuse.cli.analysis.settings import (
 from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError, UsageError
 from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.whole_drive.reference import may_have_reference, refuse
 
-from .foreign import foreign_estimates, named_sources
-from .jitter import add_jitter, check_runs
 from .python_words import speaks_python
 from .result import Comparison, Named, Run
 
@@ -178,7 +184,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
         one_of(align, get_args(Align), "align")
-        asked = Asked(align=align, smooth=smooth, jitter=check_runs(jitter))
+        asked = Asked(align=align, smooth=smooth, jitter=check_jitter(jitter))
         used = sensors if isinstance(sensors, Configuration) else parse(sensors, self.drive)
         self.progress("fusing")
         compared = run_log(self.loaded, used, asked)
@@ -221,10 +227,14 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     def compared(self, asked: Asked) -> Comparison:
         """Run and evaluate the configurations of `asked`, as `compare` does; return all runs and the report."""
-        check_runs(asked.jitter)
+        check_jitter(asked.jitter)
         asked = replace(asked, reference=self._uses_reference(asked))
         wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)
-        foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
+        foreign: list[Estimates] = []
+        if asked.estimates:
+            from .foreign import foreign_estimates, named_sources
+
+            foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
         alone = compare_log(self.loaded, wanted, asked, self.progress, draws=True)
         compared = with_others(alone, asked, foreign, self.progress)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
@@ -247,8 +257,10 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
+        from locfuse.fusion.whole_drive.reference import may_have_reference, refuse_reference
+
         if wanted:
-            refuse(self.drive, self.robot)
+            refuse_reference(self.drive, self.robot)
         return may_have_reference(self.drive, self.robot)
 
     @speaks_python
@@ -305,7 +317,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     def _complete(self, report: dict[str, Any], compared: Compared, asked: Asked, advised: Advised | None) -> None:
         """Add ranges under jitter, advice, and warnings on the motion to `report`."""
-        add_jitter(report, compared, asked, self.progress)
+        if asked.jitter:
+            add_jitter(report, compared, asked, self.progress)
         complete(report, compared, advised)
         say_motion(report, self.loaded, advised is not None and "verdicts" in report)
         self.progress("writing")

@@ -30,11 +30,10 @@ from locfuse.cli.analysis.settings import (
     words_of,
 )
 from locfuse.cli.analysis.verdicts import credit_values, verdicts
-from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import summary_files
 from locfuse.formats.report import json_report, summary as over
+from locfuse.formats.report.fleet import Entry, slim, summary_files
+from locfuse.formats.text import visible
 from locfuse.formats.versions import own
-from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.bootstrap import MIN_REPLICATES, student_t
@@ -89,9 +88,9 @@ class Summary:
 
     def _repr_html_(self) -> str:
         """Return headline, verdicts and table as HTML for a notebook."""
-        from locfuse.formats.report import notebook
+        from locfuse.formats.report import html
 
-        return notebook.render_summary(self.report)
+        return html.notebook_summary(self.report)
 
 
 class Keywords(Choices, total=False):

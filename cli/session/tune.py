@@ -17,13 +17,13 @@ from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.columns import nested
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, worsens
-from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import RunInnovations, judge
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
+from locfuse.fusion.statistics import SIGMAS_95
 from locfuse.fusion.tune.tape import Figures
 from locfuse.fusion.tune.tune import NoiseChange as TunedRow, Tuned, TuneLog, tune
 

@@ -13,13 +13,13 @@ from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.inspect.robot_facts import Overview, absent, configurations, extrinsics, wheels_missing
 from locfuse.cli.inspect.topics import clock_word
 from locfuse.formats.report.findings import options
-from locfuse.formats.report.table import Column, of_rows
+from locfuse.formats.report.table import Column, of_rows, terminal_lines
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.tried import by_key, keys
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from . import text_table
+from .screen import wrapped
 
 TOGETHER = "all logs together"
 READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
@@ -96,7 +96,7 @@ def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequen
 
 def _table(rows: Sequence[Mapping[str, Any]], width: int | None, columns: Sequence[Column]) -> list[str]:
     brief = ({**row, "type": row["type"].replace("/msg/", "/")} for row in rows)
-    return [line.rstrip() for line in text_table.lines(of_rows(columns, brief), width)]
+    return [line.rstrip() for line in terminal_lines(of_rows(columns, brief), width)]
 
 
 def _section(title: str, body: Sequence[str]) -> Iterator[str]:
@@ -130,12 +130,12 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     yield from _table(rows, width, TOPIC_COLUMNS)
     if rows:
         gap = GAP_NOTE if any(row["longest_gap_s"] is not None for row in rows) else ""
-        yield from text_table.wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
+        yield from wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
     if empty := [f.topic for f in overview.facts if not f.count]:
-        yield from text_table.wrapped("empty: ", ", ".join(empty), width, "  ")
+        yield from wrapped("empty: ", ", ".join(empty), width, "  ")
     unreadable = [f for f in overview.facts if f.problem is not None and f.count]
     for f in unreadable[:MAX_UNREADABLE_LISTED]:
-        yield from text_table.wrapped("not readable: ", f"{f.topic}: {f.problem}", width, "  ")
+        yield from wrapped("not readable: ", f"{f.topic}: {f.problem}", width, "  ")
     if len(unreadable) > MAX_UNREADABLE_LISTED:
         yield f"not readable: {len(unreadable) - MAX_UNREADABLE_LISTED} more"
 
@@ -148,7 +148,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
         words = f"{' and '.join(topics)}, {overview.choice.why.get(role, '')}"
         if role in mounts:
             words += f"; {_place(mounts[role], overview.frames_of(role)[0])}"
-        body += text_table.wrapped(f"  {role:<8} ", words, width)
+        body += wrapped(f"  {role:<8} ", words, width)
     yield from _section(READS, body)
 
 
@@ -172,17 +172,17 @@ def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
     if (base := wheels_missing(overview)) is not None:
         why.insert(0, ("all", "wheels", base))
     ready = ", ".join(name for name, what in configurations(overview).items() if what is None)
-    body = text_table.wrapped("  ready    ", ready, width) if ready else []
+    body = wrapped("  ready    ", ready, width) if ready else []
     for name, role, words in why:
         below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
-        body += text_table.wrapped("  not yet  ", f"{name}: {'see below' if below else words}", width)
-    body += text_table.wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
+        body += wrapped("  not yet  ", f"{name}: {'see below' if below else words}", width)
+    body += wrapped("  no topic ", ", ".join(foreign), width) if foreign else []
     yield from _section(CONFIGURATIONS, body)
 
 
 def _finding(f: Finding, width: int | None, failed: set[str]) -> list[str]:
     fixes = () if f.code == OPEN_SCALE else f.fixes  # the message names two alternative fixes
-    body = text_table.wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
+    body = wrapped(f"  {f.role}: ", f.brief if fixes else f.sentence, width, "    ")
     useless = f.severe and keys(fixes) <= failed
     head = "    as measured, but it does not help (see below): " if useless else "    fix: "
     return [*body, *_options(head, fixes, width)] if fixes else body
@@ -191,7 +191,7 @@ def _finding(f: Finding, width: int | None, failed: set[str]) -> list[str]:
 def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
     """Return `fixes` as --set options after the text `head`, wrapped at `width` characters; None: one line."""
     unbroken = " ".join(options((fix,)).replace(" ", NO_BREAK) for fix in fixes)
-    return [line.replace(NO_BREAK, " ") for line in text_table.wrapped(head, unbroken, width)]
+    return [line.replace(NO_BREAK, " ") for line in wrapped(head, unbroken, width)]
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:

@@ -1,22 +1,24 @@
-"""Options of commands that read logs, each declared once, and the record that passes them to a command.
+"""Options of commands that read logs, each declared once: their completion, and the record that carries them.
 
 The parameter of an option has the name of a field in one of the parts of `Options`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import os
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
 import msgspec
+from click.shell_completion import CompletionItem
 
 from locfuse.cli.analysis import settings
 from locfuse.cli.analysis.settings import EXPORTS, Asked, FleetOptions, GateOptions, LogOptions, Outputs
-
-from . import completion
 
 F = TypeVar("F", bound=Callable[..., Any])
 Declared = Callable[[Any], Any]  # what click.option returns
@@ -128,7 +130,7 @@ class Folder(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the folder or URL as text."""
-        from locfuse.formats.container.url import is_url
+        from locfuse.formats.container.file_bytes import is_url
 
         return value if is_url(str(value)) else str(super().convert(value, param, ctx))
 
@@ -160,7 +162,55 @@ def each(names: str, words: str, **more: Any) -> Declared:
     return option(names, words, multiple=True, **more)
 
 
-LOGS = click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
+def complete_log(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Complete a log: names of sample logs, and files."""
+    from locfuse.sample_logs import names
+
+    samples = [CompletionItem(name, help="sample log") for name in names() if name.startswith(begun)]
+    return [*samples, CompletionItem(begun, type="file")]
+
+
+def complete_sensors(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Complete a sensor name, also after a comma."""
+    from locfuse.fusion.sensors.registry import REGISTRY
+
+    before, comma, word = begun.rpartition(",")
+    known = REGISTRY if comma else ("odometry", "all", *REGISTRY)
+    taken = set(before.split(","))
+    return [CompletionItem(f"{before}{comma}{s}") for s in known if s.startswith(word) and s not in taken]
+
+
+def complete_setting(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Complete a key of robot.toml, with its unit; after TABLE.topic= a topic of the typed log."""
+    from msgspec.structs import fields
+
+    from locfuse.cli.analysis.robot_tables import table_types
+    from locfuse.formats.robot import robot_toml
+
+    key, equals, word = begun.partition("=")
+    if equals:
+        found = _topics(context) if key.rpartition(".")[2].endswith("topic") else []
+        return [CompletionItem(f"{key}={topic}") for topic in found if topic.startswith(word)]
+    every = ((table, f.encode_name) for table, kind in table_types().items() for f in fields(kind))
+    fits = [(table, name) for table, name in every if f"{table}.{name}".startswith(begun)]
+    return [CompletionItem(f"{table}.{name}=", help=robot_toml.unit_of(table, name)) for table, name in fits]
+
+
+def _topics(context: click.Context) -> list[str]:
+    """Return the topics of the log on the command line; [] if it cannot be opened."""
+    from locfuse.cli.analysis.load import find_log
+    from locfuse.formats.logs.log import open_log
+    from locfuse.fusion.data import LocfuseError
+
+    # click stops parsing at an option without a value, perhaps before LOG: then use the shell's words
+    typed = context.params.get("log") or shlex.split(os.environ.get("COMP_WORDS", ""))[2:]
+    for word in typed:
+        with contextlib.suppress(LocfuseError, OSError):
+            return sorted(open_log(find_log([word])).topics)
+    return []
+
+
+LOGS = click.argument("log", nargs=-1, required=True, shell_complete=complete_log)
 OVERWRITE = flag("--overwrite", "Replace existing files.")
 QUIET = flag("-q --quiet", "Print no progress and no notes.")
 
@@ -175,7 +225,7 @@ READING = (
         "--set sets",
         "Set one key of robot.toml, e.g. --set lrf.sigma_range=0.03. Repeatable.",
         metavar="TABLE.KEY=VALUE",
-        shell_complete=completion.settings,
+        shell_complete=complete_setting,
     ),
     option(
         "--order", "Clock to use where stamps run backwards.  [default: auto]", type=click.Choice(settings.ORDERS)
@@ -250,7 +300,7 @@ CONFIGURATIONS = (
         "--sensors",
         "A set of sensors to compare, e.g. compass,lrf; lrf@2Hz uses a lower rate. Repeatable.  [default: "
         "odometry, each sensor alone, all]",
-        shell_complete=completion.sensors,
+        shell_complete=complete_sensors,
     ),
     flag("--all-subsets", "Run every subset of the sensors, to compute the average effect of each (its credit)."),
 )
@@ -261,7 +311,7 @@ def sensors(words: str) -> Declared:
     return option(
         "--sensors",
         words,
-        shell_complete=completion.sensors,
+        shell_complete=complete_sensors,
         default="all",
         show_default=True,
         callback=lambda context, parameter, value: (value,),

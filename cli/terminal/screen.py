@@ -1,4 +1,4 @@
-"""The screen: lines and documents by click, with control characters in a log's text made visible.
+"""The screen: lines, paragraphs and documents, with control characters in a log's text made visible.
 
 A closed stdout (`| head`) is not an error: files are still written, and the exit code is returned.
 """
@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import os
 import sys
+import textwrap
 from typing import Any
 
 import click
 
-from locfuse.formats.visible import visible
+from locfuse.formats.text import visible
 
 
 def say(line: str, err: bool = False, styled: int | None = None, **style: Any) -> None:
@@ -37,6 +38,17 @@ def _echo(text: str, err: bool = False) -> None:
         click.echo(text, stream, nl=False, color=False if plain else None)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:
+    """Return a paragraph after `head`, wrapped at `width` characters (None: one line)."""
+    if width is None:
+        return [f"{head}{words}"]
+    later = " " * len(head) if indent is None else indent
+    return textwrap.wrap(
+        words, max(width, 40), initial_indent=head, subsequent_indent=later, break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
 
 
 def settle_streams() -> None:

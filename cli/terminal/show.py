@@ -14,16 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import Progress
-from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, unwarned, void_reasons
-from locfuse.formats.report.table import Table
-from locfuse.formats.visible import visible
+from locfuse.formats.report.table import Table, terminal_lines
+from locfuse.formats.text import visible
 from locfuse.fusion.progress import reporting_to
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from . import text_table
-from .screen import put, say as on_screen
+from .screen import put, say as on_screen, wrapped
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
@@ -105,7 +103,10 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     for line in () if how.quiet else notes if outputs.verbose else unusable:
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
-    record(outputs, found, files[0].parent, say)
+    if outputs.recorded:
+        from locfuse.cli.rerun.record import record
+
+        record(outputs, found, files[0].parent, say)
     unprinted = [*notes, *filter(_is_note, found.report.get("findings") or ())]
     if not outputs.as_json:
         end(files, 0 if how.quiet or outputs.verbose else len(unprinted))
@@ -157,7 +158,7 @@ def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
 def table(shown: Table) -> None:
     """Print a table if it has any rows."""
     if shown.rows:
-        text = text_table.lines(shown, width(), "   ")
+        text = terminal_lines(shown, width(), "   ")
         lines(text, bold=text[:1])
 
 
@@ -223,6 +224,6 @@ def _is_note(finding: Mapping[str, Any]) -> bool:
 def paragraph(text: str, styled: int | None = None, **style: Any) -> None:
     """Print a text, wrapped between words on a screen; its first `styled` characters (None: all) in a style."""
     left = len(text) if styled is None else styled
-    for line in text_table.wrapped("", text, width()):
+    for line in wrapped("", text, width()):
         on_screen(line, styled=left, **style)
         left -= len(line) + 1

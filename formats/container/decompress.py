@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 import lz4.frame
 import zstandard
 
-from locfuse.formats.caps import MAX_CHUNK
+from locfuse.formats.inputs import MAX_CHUNK
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 

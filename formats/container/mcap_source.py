@@ -8,8 +8,8 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 from functools import cached_property
 
-from locfuse.formats.caps import MAX_ATTACHMENT
 from locfuse.formats.columns import Bytes
+from locfuse.formats.inputs import MAX_ATTACHMENT
 
 from . import mcap_records as rec
 from .decompress import DamagedError

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import field
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_CHUNK
+from locfuse.formats.inputs import MAX_CHUNK
 from locfuse.fusion.data import Ints, LocfuseError
 
 from . import mcap_records as rec

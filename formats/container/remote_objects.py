@@ -25,8 +25,7 @@ from locfuse.formats.inputs import identity
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
-from .file_bytes import FileBytes, Losses
-from .url import WEB, Url
+from .file_bytes import WEB, FileBytes, Losses, Url
 
 if TYPE_CHECKING:
     from obstore.store import ObjectStore

@@ -23,13 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
+from locfuse.formats.inputs import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
-from .file_bytes import FileBytes
+from .file_bytes import FileBytes, Place
 from .source import Batch, ChannelInfo, Messages, Source, by_channel, message_type
-from .url import Place
 
 ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # raised for a damaged database
 BATCH_BYTES = 1 << 20

@@ -16,8 +16,8 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK, MAX_MESSAGE
 from locfuse.formats.columns import Bytes, view
+from locfuse.formats.inputs import FREE_RECORDS, MAX_CHUNK, MAX_MESSAGE
 from locfuse.fusion.data import Ints
 
 from .decompress import DamagedError, decompress, decompress_prefix

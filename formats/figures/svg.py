@@ -7,7 +7,7 @@ light and dark pages, and its text can be enlarged on a phone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 
 import msgspec
@@ -274,8 +274,3 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
         return kind, trajectory_path(px, py)
     period = math.inf if math.isinf(mark.period) else float(np.ptp(y.px(np.array([0.0, mark.period]))))
     return kind, curve_path(px, py, pixels, period)
-
-
-def slugs_of(names: Sequence[str]) -> dict[str, str]:
-    """Return a CSS class, k0, k1, ..., for every configuration or role, independent of its name."""
-    return {name: f"k{i}" for i, name in enumerate(names)}

@@ -14,10 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from locfuse.formats.caps import MAX_TEXT_FILE
 from locfuse.formats.geometry import quaternions, spatial_covariance
-from locfuse.formats.inputs import csv_table, read_small
-from locfuse.formats.visible import visible
+from locfuse.formats.inputs import MAX_TEXT_FILE, csv_table, read_small
+from locfuse.formats.text import visible
 from locfuse.fusion.data import END_OF_TIME, Array, Column, Ints, LocfuseError
 
 from .clock import MadeStream, RowTimes

@@ -13,25 +13,18 @@ from typing import NamedTuple
 
 import msgspec
 
-from locfuse.formats.caps import MAX_METADATA
 from locfuse.formats.container.decompress import ZSTD_MAGIC, unpack_file
-from locfuse.formats.container.file_bytes import FileBytes, Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses, Place, Url
 from locfuse.formats.container.mcap_records import MAGIC
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import summary_section
-from locfuse.formats.container.ros1_bag import BagSource
-from locfuse.formats.container.rosbag2_sqlite import SqliteSource
 from locfuse.formats.container.source import ChannelInfo, Source, message_type
-from locfuse.formats.container.url import Place, Url
-from locfuse.formats.inputs import read_small, reading
+from locfuse.formats.inputs import MAX_METADATA, read_small, reading
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
-from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
-from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors
 from locfuse.formats.messages.schema import MessageDecoder, SchemaError, parse, signature
-from locfuse.formats.visible import writable
+from locfuse.formats.text import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
-SOURCES: dict[bytes, type[Source]] = {b"SQLite format 3\x00": SqliteSource, b"#ROSBAG V2.0\n": BagSource}
 # of log files in a folder without metadata.yaml
 ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")
 REPORTS = ("report.json", "run.json")  # files of a result folder
@@ -109,9 +102,14 @@ def open_source(file: Place, losses: Losses) -> Source:
         if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
             unpack_file(data)
         head = b"" if data.far else data.read(0, 64)
-        for magic, source in SOURCES.items():
-            if head.startswith(magic):
-                return source(data)
+        if head.startswith(b"SQLite format 3\x00"):
+            from locfuse.formats.container.rosbag2_sqlite import SqliteSource
+
+            return SqliteSource(data)
+        if head.startswith(b"#ROSBAG V2.0\n"):
+            from locfuse.formats.container.ros1_bag import BagSource
+
+            return BagSource(data)
         return McapSource(data)  # raises for another kind of file
 
 
@@ -184,9 +182,13 @@ def make_decoder(channel: ChannelInfo) -> MessageDecoder:
     if problem := encoding_problem(channel):
         raise SchemaError(problem)
     if channel.encoding == "protobuf":
+        from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors
+
         return ProtobufDecoder(*parse_descriptors(channel.msgtype, channel.schema))
     text = channel.schema.decode("utf-8", "replace")
     if channel.encoding == "json":
+        from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
+
         return JsonDecoder(parse_jsonschema(channel.msgtype, text))
     rules = ROS1 if channel.encoding == "ros1" else CDR
     return Decoder(parse(channel.msgtype, channel.schema_encoding, text, filler=rules is CDR), rules)

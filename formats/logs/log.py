@@ -11,11 +11,10 @@ from typing import Self, cast
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_TOPICS, refuse_above
 from locfuse.formats.columns import Bytes
-from locfuse.formats.container.file_bytes import Losses
+from locfuse.formats.container.file_bytes import Losses, Place
 from locfuse.formats.container.source import ChannelInfo, Messages, Source, unpack
-from locfuse.formats.container.url import Place
+from locfuse.formats.inputs import MAX_TOPICS, refuse_above
 from locfuse.formats.messages.schema import (
     NUMBER as A_NUMBER,
     NUMBERS,
@@ -25,8 +24,8 @@ from locfuse.formats.messages.schema import (
     kind_of,
     resolve,
 )
-from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
+from locfuse.formats.text import did_you_mean
 from locfuse.fusion.data import Ints, LocfuseError, UsageError
 from locfuse.fusion.progress import report_progress
 

@@ -14,9 +14,9 @@ from typing import NamedTuple, Protocol, cast
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_LONG
 from locfuse.formats.columns import Bytes, Growing, GrowingArray, n_bytes
 from locfuse.formats.container.source import Messages
+from locfuse.formats.inputs import MAX_LONG
 from locfuse.formats.messages.schema import Decoded, MessageDecoder, frame_path, stamp_path
 from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, Mask, Ragged
 from locfuse.fusion.streams import concat, take

@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_ITEMS, MAX_TEXT
 from locfuse.formats.columns import Bytes, nested, view
+from locfuse.formats.inputs import MAX_ITEMS, MAX_TEXT
 from locfuse.fusion.data import Column, Ints, Mask, Ragged, totals
 from locfuse.fusion.streams import concat, take
 

@@ -16,9 +16,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_DEPTH, MAX_MESSAGE
 from locfuse.formats.columns import Bytes
-from locfuse.formats.visible import writable
+from locfuse.formats.inputs import MAX_DEPTH, MAX_MESSAGE
+from locfuse.formats.text import writable
 from locfuse.fusion.data import Column, Ints, Ragged, totals
 
 from .schema import (

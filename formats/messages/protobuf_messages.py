@@ -15,8 +15,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from locfuse.formats.caps import MAX_DEFINITION, MAX_DEPTH, MAX_ITEMS, MAX_MESSAGE, MAX_TEXT, refuse_above
 from locfuse.formats.columns import Bytes, nested
+from locfuse.formats.inputs import MAX_DEFINITION, MAX_DEPTH, MAX_ITEMS, MAX_MESSAGE, MAX_TEXT, refuse_above
 from locfuse.fusion.data import Ints
 
 from .cdr import MalformedError

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import msgspec
 
-from locfuse.formats.caps import (
+from locfuse.formats.columns import Bytes
+from locfuse.formats.container.source import message_type
+from locfuse.formats.inputs import (
     MAX_DEFINITION,
     MAX_DEFINITION_LINES,
     MAX_DEPTH,
@@ -21,8 +23,6 @@ from locfuse.formats.caps import (
     MAX_FIELDS,
     refuse_above,
 )
-from locfuse.formats.columns import Bytes
-from locfuse.formats.container.source import message_type
 from locfuse.fusion.data import Column, Ints, Mask
 
 if TYPE_CHECKING:

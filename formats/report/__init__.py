@@ -1,1 +1,1 @@
-"""Reports of results as JSON, Markdown, HTML, CSV and LaTeX, and summaries over several logs."""
+"""Reports of results as JSON, Markdown, HTML, CSV and LaTeX, of one log and of many."""

@@ -1,7 +1,7 @@
-"""report.html, one self-contained page: first verdicts and main table, then figures, then details.
+"""Reports as HTML: report.html, one self-contained page, and the display of a result in a notebook.
 
-Every number is a <data> element with its path in report.json (RFC 6901), so that tests can compare both files.
-Text from logs is escaped by the template.
+The page has first verdicts and main table, then figures, then details. Every number is a <data> element with its
+path in report.json (RFC 6901), so that tests can compare both files. Text from logs is escaped by the template.
 """
 
 from __future__ import annotations
@@ -10,23 +10,35 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from markupsafe import Markup
 
 from locfuse.formats.figures import palette
-from locfuse.formats.figures.panels import Section
+from locfuse.formats.figures.palette import Trace
+from locfuse.formats.figures.panels import Panel, Section
 from locfuse.formats.figures.svg import HEIGHT_PX, WIDTH_PX, svg
 from locfuse.fusion.data import BASES, REFUSED, Colour
 
-from . import tables
-from .findings import fingerprint, in_parts, notes_of, options, title_of, together, unwarned, warnings_of
+from . import summary as over, tables
+from .findings import (
+    banner_of,
+    fingerprint,
+    in_parts,
+    notes_of,
+    options,
+    sentence,
+    title_of,
+    together,
+    unwarned,
+    warnings_of,
+)
 from .glossary import GLOSSARY
 from .summary import errors_of
-from .table import SIGNS, Path, Piece, Swatches, data, html, with_code, written
+from .table import SIGNS, Path, Piece, Swatches, data, html, html_text, of_words, texts, with_code, written
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -185,3 +197,63 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
         s: {"kind": kind, "low": px(e["low"]), "high": px(e["high"]), "value": px(e["factor"]), "none": px(1.0)}
         for s, (kind, e) in effects.items()
     }
+
+
+NOTEBOOK_SIZE_PX = 640, 420  # of the figure of the paths
+
+
+class NotebookFigure(NamedTuple):
+    """A figure of the report for display in a notebook, by `_repr_svg_`."""
+
+    panel: Panel
+    traces: Mapping[str, Trace]
+    sensors: Mapping[str, Colour]
+
+    def _repr_svg_(self) -> str:
+        """Return the figure as an SVG document with its own style sheet for light and dark notebooks."""
+        swatches = Swatches(palette.colours(self.traces, self.sensors), palette.looks_of(self.traces))
+        css = (files(__package__) / "report.css").read_text(encoding="utf-8").splitlines()
+        of_figures = [line for line in css if line.startswith((":root", "@media (prefers", ".fig"))]
+        style = style_sheet("".join(of_figures), swatches).replace("<", "\\3c ")
+        drawn = svg(self.panel, "paths", swatches.slugs, *NOTEBOOK_SIZE_PX, swatches.looks)
+        opening = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" width="{NOTEBOOK_SIZE_PX[0]}"'
+        return f"{opening}{drawn.removeprefix('<svg')}".replace("<title", f"<style>{style}</style><title", 1)
+
+    def html(self) -> str:
+        """Return the image as HTML, isolated from the notebook's styles, with a legend below it."""
+        data = base64.b64encode(self._repr_svg_().encode()).decode()
+        inks = palette.colours(self.traces, self.sensors)
+        names = " ".join(
+            f'<span style="color:{inks[name].light}">&#9632;</span> {html_text(name)}' for name in self.traces
+        )
+        source = f"data:image/svg+xml;base64,{data}"
+        return f'<p>{names}</p><img alt="{html_text(self.panel.summary)}" src="{source}">'
+
+
+def notebook_report(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str:
+    """Return headline, findings, verdicts and main table as HTML; text from the log is escaped.
+
+    `spoken` rewrites command-line options in sentences, for example as Python arguments.
+    """
+    lines = [*banner_of(report), *map(sentence, unwarned(report)), *filter(None, [together(report)])]
+    findings = "".join(f"<li>{html_text(spoken(line))}</li>" for line in lines)
+    head = f"<p><b>{html_text(spoken(report.get('headline') or ''))}</b></p>"
+    head += f"<ul>{findings}</ul>" if findings else ""
+    return head + _verdict_lines(report.get("verdicts", {})) + html(tables.configurations(report))
+
+
+def table_and_notes(titles: Sequence[str], rows: Iterable[Sequence[str]], notes: Iterable[str]) -> str:
+    """Return an HTML table of text cells with a list of notes below it."""
+    below = "".join(f"<li>{html_text(note)}</li>" for note in notes)
+    return html(of_words(texts(*titles), rows)) + (f"<ul>{below}</ul>" if below else "")
+
+
+def notebook_summary(summary: Mapping[str, Any]) -> str:
+    """Return a summary over several logs as HTML: headline, verdicts, table of configurations."""
+    head = f"<p>{html_text(over.headline(summary))}</p>"
+    return head + _verdict_lines(summary["verdicts"]) + html(over.table(summary))
+
+
+def _verdict_lines(found: Mapping[str, Mapping[str, Any]]) -> str:
+    texts = [map(html_text, (sensor, v["verdict"], v["words"])) for sensor, v in found.items()]
+    return "".join("<p><b>{} {}.</b> {}</p>".format(*text) for text in texts)

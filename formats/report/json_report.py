@@ -13,8 +13,8 @@ from typing import Any
 import msgspec
 from msgspec.structs import asdict
 
+from locfuse.formats.text import escaped, writable
 from locfuse.formats.versions import installed
-from locfuse.formats.visible import escaped, writable
 from locfuse.fusion.data import Drive, Evaluation, LocfuseError
 from locfuse.fusion.kernels.built import how
 

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_MAP_PICTURE, MAX_ROBOT_TOML, refuse_above
-from locfuse.formats.inputs import read_small
-from locfuse.formats.visible import visible
+from locfuse.formats.inputs import MAX_MAP_PICTURE, MAX_ROBOT_TOML, read_small, refuse_above
+from locfuse.formats.text import visible
 from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError, Mask
 
 from .ros_yaml import by_yaml

@@ -15,10 +15,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from locfuse.formats.caps import MAX_ROBOT_TOML
-from locfuse.formats.inputs import read_small
-from locfuse.formats.nearest import did_you_mean
-from locfuse.formats.visible import visible
+from locfuse.formats.inputs import MAX_ROBOT_TOML, read_small
+from locfuse.formats.text import did_you_mean, visible
 from locfuse.fusion.data import LocfuseError
 
 from .ros_yaml import by_yaml

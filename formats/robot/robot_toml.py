@@ -1,21 +1,26 @@
-"""robot.toml: parsing, merging of several sources key by key, and conversion to typed settings."""
+"""robot.toml: parsing, merging of several sources key by key, typed settings and units; and written with comments.
+
+A new file has a comment on every line; in an existing one only values and their comments change.
+"""
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
 import re
+import textwrap
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from locfuse.formats.caps import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, refuse_above
-from locfuse.formats.nearest import did_you_mean
-from locfuse.formats.visible import escaped
+from locfuse.formats.inputs import MAX_DOTS, MAX_KEY_DEPTH, MAX_KEYS, MAX_ROBOT_TOML, read_small, refuse_above
+from locfuse.formats.text import did_you_mean, escaped
 from locfuse.fusion.data import LocfuseError, UsageError
-
-from . import units
 
 BARE_POINT = re.compile(r"^([+-]?)\.(?=\d)")  # .5 is a number for most people, but not for TOML
 MAX_LISTED_KEYS = 12  # in an error message
@@ -181,7 +186,7 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
     for key, value in table.items():
         if key not in known:
             raise LocfuseError(_unknown(key, name, known))
-        if units.of(name, key) in units.WITH_METRES:
+        if unit_of(name, key) in WITH_METRES:
             _refuse_far(f"{name}.{key}", value)
 
 
@@ -235,7 +240,8 @@ def _needed(table: str, key: str, reason: str) -> str:
 
     `reason` is the message of msgspec. If it is not about a number, return it in plain words.
     """
-    unit = units.in_words(table, key)
+    unit = unit_of(table, key)
+    unit = UNIT_IN_WORDS.get(unit, unit)
     found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
     if not found:
         return _plain(reason)
@@ -266,3 +272,151 @@ def dump(tables: Mapping[str, Any]) -> str:
 def _without_none(tables: Mapping[str, Any]) -> Tables:
     kept = {key: value for key, value in tables.items() if value is not None}
     return {key: _without_none(value) if isinstance(value, Mapping) else value for key, value in kept.items()}
+
+
+_UNITS = tomllib.loads((files(__package__) / "units.toml").read_text(encoding="utf-8"))
+UNIT_OF_PATH: dict[str, str] = {path: unit for unit, paths in _UNITS["paths"].items() for path in paths}
+SECONDS, METRES = frozenset(_UNITS["seconds"]), frozenset(_UNITS["metres"])
+WITH_METRES = {"m", "m, m, °", "m, m, °, °"}
+UNIT_IN_WORDS = {"m": "metres", "°": "degrees", "s": "seconds", "px": "pixels", "m/s": "metres per second"}
+
+
+def unit_of(table: str, key: str) -> str:
+    """Return the unit of a key's value: "m"; "" without one."""
+    if (path := f"{table}.{key}") in UNIT_OF_PATH:
+        return UNIT_OF_PATH[path]
+    return "°" if key.endswith("_deg") else "s" if key in SECONDS else "m" if key in METRES else ""
+
+
+MAX_LINE_CHARACTERS = 100
+WRAPPER = textwrap.TextWrapper(MAX_LINE_CHARACTERS - 2, break_long_words=False, break_on_hyphens=False)
+
+
+class TomlLine(NamedTuple):
+    """One key with its value and a comment."""
+
+    key: str
+    value: Any  # None: blank, to be filled in
+    words: str = ""  # the comment: source of the value, or how to find the value
+    holds: bool = True  # False: the line is commented out
+
+
+class TomlSection(NamedTuple):
+    """One table of a TOML file; the name "" is for keys above all tables."""
+
+    name: str
+    lines: tuple[TomlLine, ...]
+
+
+def render(head: str, sections: Sequence[TomlSection], foot: str = "") -> str:
+    """Return a commented TOML file; a table without active lines is commented out as a whole."""
+    parts = [comment(head), *("\n".join(_section(section)) for section in sections if section.lines)]
+    return "\n\n".join([*parts, comment(foot)] if foot else parts) + "\n"
+
+
+def comment(text: str) -> str:
+    """Return the text as wrapped comment lines; a paragraph that begins with a space is not wrapped."""
+    lines: list[str] = []
+    for paragraph in text.splitlines():
+        plain = printable(paragraph)
+        lines += [plain] if plain[:1] == " " else WRAPPER.wrap(plain) or [""]
+    return "\n".join(f"# {line}".rstrip() for line in lines)
+
+
+def as_toml(plain: Any) -> str:
+    """Return a value (number, text, list or table) as TOML on one line."""
+    if isinstance(plain, Mapping):
+        return "{ " + ", ".join(f"{as_toml(str(k))} = {as_toml(v)}" for k, v in plain.items()) + " }"
+    if isinstance(plain, list | tuple):
+        return "[" + ", ".join(map(as_toml, plain)) + "]"
+    return escaped(json.dumps(plain, ensure_ascii=False))
+
+
+def printable(text: str) -> str:
+    """Return text with unprintable characters (line ends, control characters) replaced by "?"."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def _section(section: TomlSection) -> Iterator[str]:
+    if section.name:
+        yield f"[{section.name}]" if any(line.holds for line in section.lines) else f"# [{section.name}]"
+    for words, group in itertools.groupby(section.lines, key=lambda line: line.words):
+        pairs = [(line, "" if line.value is None else f" {as_toml(line.value)}") for line in group]
+        lines = [f"{'' if line.holds else '# '}{line.key} ={value}" for line, value in pairs]
+        beside = f"{lines[0]}  # {printable(words)}"
+        if not words:
+            yield from lines
+        elif len(lines) == 1 and len(beside) <= MAX_LINE_CHARACTERS:
+            yield beside
+        else:
+            yield from (comment(words), *lines)
+
+
+# --- New values in an existing robot.toml; its comments, order and all else stay unchanged
+# Values over several lines, and tables not written as [table], cannot be replaced line by line. So the new text is
+# parsed again and compared with the merged tables.
+
+HEADING = re.compile(r"\s*(#\s*)?\[\s*([\w-]+)\s*\]\s*(#.*)?$")
+BASIC, LITERAL = r'"(?:[^"\\]|\\.)*"', r"'[^']*'"
+COMMENT = re.compile(rf"((?:{BASIC}|{LITERAL}|[^#\"'])*?)(\s*#.*)?$")
+
+
+def text_of(robot: Path | None) -> str:
+    """Return the text of a robot.toml; "" without one."""
+    return "" if robot is None else read_small(robot, MAX_ROBOT_TOML).decode("utf-8", "replace")
+
+
+def updated(text: str, changes: Mapping[str, Any], who: str) -> str:
+    """Return the text of a robot.toml with changed keys; new keys are added at the end of their tables.
+
+    A commented-out key becomes active in its place. `who` is the comment of an added key. Raises LocfuseError if
+    the text cannot be changed line by line.
+    """
+    wanted = merge(parse(text, "robot.toml"), changes)
+    lines = text.splitlines()
+    for table, values in changes.items():
+        inside = values if isinstance(values, Mapping) else {table: values}
+        lines = _in_table(lines, table if isinstance(values, Mapping) else "", inside, who)
+    result = "\n".join(lines) + "\n"
+    if parse(result, "robot.toml") != wanted:
+        raise LocfuseError(
+            "robot.toml is written in a way that cannot be changed line by line: write its tables as [table], and "
+            "each value on one line"
+        )
+    return result
+
+
+def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str) -> list[str]:
+    """Return the lines with new values in one table; "" is the part above all tables."""
+    start, end = _bounds(lines, table)
+    if start is None:
+        return [*lines, *([""] if lines and lines[-1] else []), f"[{table}]", *_added(values, who)]
+    body, missing = lines[start:end], dict(values)
+    active = {found[1] for line in body if (found := re.match(r"\s*([\w-]+)\s*=", line))}
+    for i, line in enumerate(body):
+        found = re.match(r"\s*(?:#\s*)?([\w-]+)\s*=(.*)$", line)
+        if found and found[1] in missing and (not line.lstrip().startswith("#") or found[1] not in active):
+            comment = COMMENT.match(found[2])
+            body[i] = f"{found[1]} = {as_toml(missing.pop(found[1]))}{(comment and comment[2]) or ''}"
+    if table:  # activate a commented-out heading
+        lines[start - 1] = re.sub(r"^\s*#\s*", "", lines[start - 1])
+    while body and not body[-1].strip():
+        body.pop()
+        end -= 1
+    return [*lines[:start], *body, *_added(missing, who), *lines[end:]]
+
+
+def _bounds(lines: list[str], table: str) -> tuple[int | None, int]:
+    """Return the indices of the first line and the end of a table; (None, number of lines) without the table."""
+    heads = [(i, m[2], bool(m[1])) for i, line in enumerate(lines) if (m := HEADING.match(line))]
+    if not table:
+        return 0, heads[0][0] if heads else len(lines)
+    for hidden in (False, True):
+        for n, (i, name, commented) in enumerate(heads):
+            if name == table and commented == hidden:
+                return i + 1, heads[n + 1][0] if n + 1 < len(heads) else len(lines)
+    return None, len(lines)
+
+
+def _added(values: Mapping[str, Any], who: str) -> list[str]:
+    return [f"{key} = {as_toml(value)}  # {who}" for key, value in values.items()]

@@ -15,12 +15,11 @@ from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from locfuse.formats.caps import MAX_KEYS, MAX_ROBOT_TOML, refuse_above
-from locfuse.formats.inputs import read_small
-from locfuse.formats.visible import visible
+from locfuse.formats.inputs import MAX_KEYS, MAX_ROBOT_TOML, read_small, refuse_above
+from locfuse.formats.text import visible
 from locfuse.fusion.data import LocfuseError
 
-from .commented_toml import as_toml, printable
+from .robot_toml import as_toml, printable
 
 PARAMETERS = "ros__parameters"
 BOM = "\ufeff"

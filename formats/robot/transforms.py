@@ -1,11 +1,13 @@
-"""Sensor mounts on the robot, from the transforms of /tf_static, chained to the base frame.
+"""The robot's geometry in its log: sensor mounts from /tf_static, wheels from the robot description (URDF).
 
-`T_parent_child` maps coordinates in the child frame to coordinates in the parent frame (REP-105 trees).
+Transforms are chained to the base frame. `T_parent_child` maps coordinates in the child frame to coordinates in
+the parent frame (REP-105 trees).
 """
 
 from __future__ import annotations
 
 import math
+import xml.etree.ElementTree as ET
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, TypeVar
@@ -13,8 +15,9 @@ from typing import NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from locfuse.formats.caps import MAX_TRANSFORMS, refuse_above
+from locfuse.formats.inputs import MAX_JOINTS, MAX_TEXT, MAX_TRANSFORMS, refuse_above
 from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
+from locfuse.fusion.se2 import rotation_3d
 
 # fields of TFMessage | Foxglove's FrameTransforms | its FrameTransform (a single one)
 FIELDS = (
@@ -238,3 +241,84 @@ def inverse_of(T: Array) -> Array:
     inverse[..., :3, 3] = -(turned @ T[..., :3, 3:])[..., 0]
     inverse[..., 3, 3] = 1.0
     return inverse
+
+
+TURNS = ("continuous", "revolute")
+
+
+class WheelGeometry(NamedTuple):
+    """The geometry of the two driven wheels."""
+
+    left: str  # joint names
+    right: str
+    radius: float | None  # m, of the wheel's cylinder or sphere
+    track: float  # m, distance between both joints
+
+
+def wheel_geometry(text: str) -> WheelGeometry | None:
+    """Return the geometry of the left and right wheel; None unless the URDF text has exactly one of each.
+
+    A text with a DTD also gives None, since its entities could fill the memory.
+    """
+    if len(text) > MAX_TEXT or "<!DOCTYPE" in text or "<!ENTITY" in text:
+        return None
+    try:
+        robot = ET.fromstring(text)
+    except ET.ParseError:
+        return None
+    joints = {j.get("name", ""): j for j in robot.iter("joint") if j.get("type")}
+    if len(joints) > MAX_JOINTS:
+        return None
+    wheels = [n for n, j in joints.items() if j.get("type") in TURNS and "wheel" in n.lower()]
+    left = [n for n in wheels if "left" in n.lower() or n.lower().startswith("l")]
+    right = [n for n in wheels if "right" in n.lower() or n.lower().startswith("r")]
+    if len(left) != 1 or len(right) != 1:
+        return None
+    connected = [joint for joint in robot.iter("joint") if _link(joint, "child")]
+    edges = []
+    for joint in connected:
+        T, origin = np.eye(4), joint.find("origin")
+        if origin is not None:
+            T[:3, :3] = rotation_3d(*map(math.degrees, _numbers(origin.get("rpy"))))
+            T[:3, 3] = _numbers(origin.get("xyz"))
+        edges.append(Transform(_link(joint, "parent"), _link(joint, "child"), T))
+    tree = StaticTransforms(tuple(edges))
+    in_root = [ancestors(tree, _link(joints[name], "child")) for name in (left[0], right[0])]
+    if not all(in_root):
+        return None
+    y_left, y_right = (float(above[-1][1][1, 3]) for above in in_root)
+    track = abs(y_left - y_right)
+    if not 0.01 < track < 10.0:
+        return None
+    return WheelGeometry(left[0], right[0], _radius(robot, joints[left[0]]), track)
+
+
+def _link(joint: ET.Element, end: str) -> str:
+    """Return the name of the "parent" or "child" link of a joint; "" if it has none."""
+    found = joint.find(end)
+    return "" if found is None else found.get("link", "")
+
+
+def _numbers(text: str | None) -> Sequence[float]:
+    try:
+        values = [float(word) for word in (text or "0 0 0").split()]
+    except ValueError:
+        return (0.0, 0.0, 0.0)
+    return values if len(values) == 3 and all(map(math.isfinite, values)) else (0.0, 0.0, 0.0)
+
+
+def _radius(robot: ET.Element, joint: ET.Element) -> float | None:
+    """Return the radius [m] of a joint's wheel from its collision or visual shape; None without one."""
+    link = next((ln for ln in robot.iter("link") if ln.get("name") == _link(joint, "child")), None)
+    if link is None:
+        return None
+    for part in ("collision", "visual"):
+        for shape in ("cylinder", "sphere"):
+            for found in link.iterfind(f"{part}/geometry/{shape}"):
+                try:
+                    radius = float(found.get("radius", ""))
+                except ValueError:
+                    continue
+                if 0.005 < radius < 2.0:
+                    return radius
+    return None

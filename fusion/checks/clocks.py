@@ -18,11 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth, changes
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import jackknife, robust_sigma
 from locfuse.fusion.streams import parts_of
 from locfuse.fusion.truth import poses_at
 from locfuse.fusion.wheels.motion import Wheels

@@ -11,13 +11,12 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, part_of, robust
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
-from locfuse.fusion.sensors.iron import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
+from locfuse.fusion.sensors.magnetic import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
+from locfuse.fusion.statistics import MAD_OF_NORMAL, jackknife, part_of, robust, robust_sigma
 from locfuse.fusion.streams import numbers
 
 from .finding import Finding

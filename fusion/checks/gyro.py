@@ -7,12 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from locfuse.fusion.change import part_of, robust_with_sigmas
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Stream, changes
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gyro import rests, up_rate
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import part_of, robust_sigma, robust_with_sigmas
 from locfuse.fusion.streams import arrays, seconds
 
 from .finding import Finding, Least

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.change import jackknife
 from locfuse.fusion.data import Array, Ints, Mask, Measurements
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import jackknife
 from locfuse.fusion.wheels.motion import Wheels
 
 WINDOW_S = 1.0  # s over which turning is compared

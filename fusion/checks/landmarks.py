@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.data import Drive, Ints, Measurements
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import mounts_of
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import jackknife, robust
 from locfuse.fusion.truth import body_poses
 
 from .finding import Finding

@@ -16,13 +16,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import MIN_SQUARES, best_split, jackknife, robust
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, Mask, Measurements, Stream, totals
 from locfuse.fusion.lines.scans import SCAN_FIELDS
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
+from locfuse.fusion.statistics import MAD_OF_NORMAL, MIN_SQUARES, best_split, jackknife, robust, robust_sigma
 from locfuse.fusion.streams import seconds, taken
 from locfuse.fusion.wheels.motion import Wheels
 

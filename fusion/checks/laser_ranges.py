@@ -9,12 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from locfuse.fusion.change import jackknife
-from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, LocfuseError, Measurements, Ragged, Stream
 from locfuse.fusion.lines.points import understood
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
+from locfuse.fusion.statistics import MAD_OF_NORMAL, jackknife
 from locfuse.fusion.streams import take
 
 from .finding import Finding

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust, robust_with_sigmas
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, Ints, Mask, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import mounts_of
 from locfuse.fusion.sensors.points import PointsSettings
 from locfuse.fusion.sensors.ranges import RangeFit, RangesSettings, anchor_beside
+from locfuse.fusion.statistics import jackknife, robust, robust_sigma, robust_with_sigmas
 from locfuse.fusion.truth import poses_at
 
 from .finding import Finding

@@ -17,11 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust, robust_with_sigmas
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Drive, Estimates, Ints, Measurements, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import jackknife, robust, robust_sigma, robust_with_sigmas
 from locfuse.fusion.truth import poses_at
 
 from .finding import Finding, Least

@@ -16,7 +16,7 @@ from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, MountedSe
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import laid_on, wrap
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.states import MAX_PRIOR_SIGMAS as MAX_TURNING_SIGMAS, WHEELS
+from locfuse.fusion.wheels.motion import MAX_PRIOR_SIGMAS as MAX_TURNING_SIGMAS, WHEELS
 
 from .finding import Finding
 from .laser import range_fix

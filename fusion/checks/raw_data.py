@@ -16,9 +16,8 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import parts_of
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import BODY_READS
-from locfuse.fusion.wheels.read import counts_ticks
+from locfuse.fusion.wheels.read import SPEEDS_ALONE, counts_ticks
 from locfuse.fusion.wheels.repairs import MAX_HELD_FACTOR
-from locfuse.fusion.wheels.sources import SPEEDS_ALONE
 
 from .finding import Finding
 from .truth import UNIT, wheels_metre

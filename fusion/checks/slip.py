@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Drive, interpolate, stretches
+from locfuse.fusion.statistics import robust_sigma
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding

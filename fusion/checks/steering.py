@@ -8,9 +8,9 @@ from contextlib import suppress
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import robust
 from locfuse.fusion.data import Drive, LocfuseError, Stream, Truth, changes
 from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.statistics import robust
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
 from locfuse.fusion.wheels.motion import Wheels

@@ -16,7 +16,7 @@ import msgspec
 
 from locfuse.fusion.data import BASES, Drive, Estimates
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.wheels.states import MAX_PRIOR_SHARE
+from locfuse.fusion.wheels.motion import MAX_PRIOR_SHARE
 
 from .clocks import MIN_LAG_S, SPEED_SIGMA_S, Pair, differences, explained, wrong_clocks
 from .lag import SAID_SIGMAS, Lag

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.data import Array, Drive, Ints, Truth, interpolate, totals
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.statistics import jackknife, robust
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding

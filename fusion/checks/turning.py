@@ -15,14 +15,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife, robust
 from locfuse.fusion.data import Array, Drive, Ints, Stream, changes, totals
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import jackknife, robust
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import BODY_READS
-from locfuse.fusion.wheels.sources import joint_names
+from locfuse.fusion.wheels.read import joint_names
 
 from .finding import Finding, Least
 from .lag import headings

@@ -15,8 +15,8 @@ from functools import cache
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import CONFIDENCE
 from locfuse.fusion.data import Array, totals
+from locfuse.fusion.statistics import CONFIDENCE
 
 RESAMPLE_COUNT = 2000
 STARTS_AT_ONCE = 1 << 20  # block starts in memory at once

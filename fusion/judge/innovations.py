@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.change import best_split
-from locfuse.fusion.chi_square import chi_square, mean_bounds, robust_sigma
 from locfuse.fusion.data import Array, Audit, Counts, Drive, Estimates, Ints, Measurements, RowVerdict, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import SightLines
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.statistics import best_split, chi_square, mean_bounds, robust_sigma
 
 MAX_LAG_READINGS = 5
 MIN_AUTOCORRELATION = 0.05  # a smaller autocorrelation counts as zero

@@ -10,10 +10,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD_OF_NORMAL
 from locfuse.fusion.data import Array, Ints, Mask, Ragged, totals
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensor import WheelMotion
+from locfuse.fusion.statistics import MAD_OF_NORMAL
 from locfuse.fusion.streams import in_turn
 
 from .extract import (

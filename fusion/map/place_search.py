@@ -26,12 +26,10 @@ from locfuse.fusion.kernels import places
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.scan_matching.solve import chi2_of
 
-from .anchors import Anchors
 from .line_map import MIN_HITS, LineMap
 from .scan import Scan
 from .slips import RecentScans
-from .small_maps import FrozenMap, as_scan
-from .submap_path import SubmapPath
+from .small_maps import Anchors, FrozenMap, SubmapPath, as_scan
 
 MIN_SKEW_RAD = math.radians(25.0)  # least angle between two walls that determine a pose
 APART_RAD = math.radians(20.0)  # poses whose headings differ by more are different

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import LOOP_TAKEN, Array, Jump, LocfuseError, MapLine, Measurements, RowVerdict, SeenAgain
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import pose_by_frame
@@ -29,8 +28,8 @@ from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model, ModelResults
+from locfuse.fusion.statistics import chi_square
 
-from .anchors import Anchors, Edge, inverted
 from .guard import Guard, jump, pose_in_map
 from .line_map import (
     MIN_HITS,
@@ -48,8 +47,19 @@ from .line_map import (
 from .place_search import INSISTING_LOOKS, CandidateRuns, Closure, find_closure, is_unknown
 from .scan import LineReader, Scan, Standing
 from .slips import PresentScan
-from .small_maps import FrozenMap, begin_submap, frozen, heading_among, shared_walls, thaw
-from .submap_path import ScanMatchedPath, SubmapPath
+from .small_maps import (
+    Anchors,
+    Edge,
+    FrozenMap,
+    ScanMatchedPath,
+    SubmapPath,
+    begin_submap,
+    frozen,
+    heading_among,
+    inverted,
+    shared_walls,
+    thaw,
+)
 
 REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next submap begins
 # the next submap begins where the heading relative to the seen walls is this certain (1 sigma), or beyond this

@@ -15,8 +15,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Mask, Measurements, Points, spaced, totals
 
-from .clouds import Clouds, clouds_of
-from .match import Matches, Targets, match, sources_of
+from .match import Clouds, Matches, Targets, clouds_of, match, sources_of
 from .solve import Edges
 
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.6, 0.3, 0.05

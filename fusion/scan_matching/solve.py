@@ -15,7 +15,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, LocfuseError
 
-from .clouds import Columns
+from .match import Columns
 
 NOWHERE = -1  # index i of an edge that starts at the origin of the map
 MAX_STEPS, STEPS_BETWEEN = 10, 2  # most Gauss-Newton steps with the last kernel width; with each before

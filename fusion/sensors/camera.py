@@ -16,12 +16,12 @@ import numpy as np
 from msgspec.structs import astuple
 
 from locfuse.fusion.camera.optics import FIELDS, bearing
-from locfuse.fusion.chi_square import chi_square, clipped_rms
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import sight, transform, wrap, wrap_all
 from locfuse.fusion.sensor import NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
+from locfuse.fusion.statistics import chi_square, clipped_rms
 from locfuse.fusion.streams import seconds
 
 Point = tuple[float, float]

@@ -2,7 +2,7 @@
 
 The field's direction in the map is not known to a tenth of a degree, and the module's 0.1° is its resolution,
 not its accuracy (docs/paper.md). So theta = measured heading - offset, and the offset is estimated unless given.
-A magnetometer's field is levelled first if an IMU shows that the robot tilts (level.py).
+A magnetometer's field is levelled first if an IMU shows that the robot tilts (magnetic.py).
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from locfuse.fusion.chi_square import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
@@ -31,9 +30,10 @@ from locfuse.fusion.sensor import (
     WheelMotion,
     given_or_state,
 )
+from locfuse.fusion.statistics import MAD_OF_NORMAL, chi_square
 from locfuse.fusion.streams import arrays, count_dropped, seconds, stuck
 
-from .level import LevelledField, levelled
+from .magnetic import LevelledField, levelled
 
 Convention = Literal["enu_rad", "enu_deg", "compass_rad", "compass_deg"]
 OFFSET = "compass_offset"

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.geodesy import on_map
 from locfuse.fusion.kernels.ekf import Innovation
@@ -36,6 +35,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import arrays, count_dropped, seconds
 
 from .points import detector_at, spread_in_other_frame

@@ -23,12 +23,12 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, RowVerdict, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion, given_or_state
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import arrays, count_dropped, last_of_periods, seconds, stuck, summed
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # in a standstill: encoders flicker by a tick

@@ -31,7 +31,6 @@ from typing import Any, ClassVar, NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import chi_square, clipped_rms, robust_sigma
 from locfuse.fusion.data import (
     Array,
     Colour,
@@ -47,6 +46,7 @@ from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import direction, transform, wrap, wrap_all
 from locfuse.fusion.sensor import NO_BLOCK, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion, given_or_state
+from locfuse.fusion.statistics import chi_square, clipped_rms, robust_sigma
 from locfuse.fusion.streams import arrays, parts_of
 
 from .points import (

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import ClassVar, Literal, cast
+from typing import TYPE_CHECKING, ClassVar, Literal, cast
 
 import numpy as np
 
@@ -30,10 +30,12 @@ from locfuse.fusion.lines.scans import (
     turns,
     wall_floor,
 )
-from locfuse.fusion.map.tracker import AtlasTracker
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
 from locfuse.fusion.streams import seconds
+
+if TYPE_CHECKING:
+    from locfuse.fusion.map.tracker import AtlasTracker
 
 ESTIMATING_MAPS = ("refine", "grow")  # maps whose lines are states: the mount can be estimated too
 MAX_CURVED_SHARE = 0.05  # of all walls; a larger share gives a note
@@ -154,6 +156,8 @@ class Lrf(Sensor):
 
     def model(self, settings: LrfSettings) -> AtlasTracker:
         """Return the filter model of the laser for a new run."""
+        from locfuse.fusion.map.tracker import AtlasTracker
+
         mount = Mount(self.name, settings, observable=settings.map in ESTIMATING_MAPS)
         return AtlasTracker(settings.map, settings.gate, settings.recover, mount)
 

@@ -8,11 +8,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.chi_square import clipped_rms
 from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Measurements, RowVerdict
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, in_other_frame, sight, transform
 from locfuse.fusion.sensor import NO_COLUMNS, Model, ModelResults, SensorSettings
+from locfuse.fusion.statistics import clipped_rms
 from locfuse.fusion.streams import count_dropped, seconds
 
 Point = tuple[float, float]

@@ -26,7 +26,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
     PLANE_ROWS,
     Array,
@@ -55,6 +54,7 @@ from locfuse.fusion.sensor import (
     SensorSettings,
     WheelMotion,
 )
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import arrays, count_dropped, seconds
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 

@@ -23,11 +23,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import chi_square, clipped_rms, robust_sigma
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import Ask, Bias, Block, FoundStart, Model, Sensor, WheelMotion, given_or_state
+from locfuse.fusion.statistics import chi_square, clipped_rms, robust_sigma
 from locfuse.fusion.streams import arrays, count_dropped, seconds
 
 from .points import IdReadings, Point, PointsModel, PointsSettings, by_instant, detector_at, predict, used

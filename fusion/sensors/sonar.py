@@ -13,20 +13,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
 
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Colour, Component, Measurements, RowVerdict, Stream, totals
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
 from locfuse.fusion.sensor import Ask, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import MergedStream, arrays, count_dropped, parts_of, seconds
+
+if TYPE_CHECKING:
+    from locfuse.fusion.map.line_map import LineMap
 
 CLUTTER_SHARE = 0.25  # share of echoes from unmapped objects, anywhere before the wall
 Mount = tuple[float, float, float]

@@ -17,11 +17,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, wrap
 from locfuse.fusion.sensor import Ask, Block, Model, PoseRows, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.statistics import chi_square
 from locfuse.fusion.streams import arrays, count_dropped, last_of_periods, seconds, summed
 from locfuse.fusion.wheels.odometry import SPEED
 

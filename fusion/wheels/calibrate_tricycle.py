@@ -16,13 +16,12 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, Ints, LocfuseError, Truth, interpolate, stretches, totals
 from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.statistics import SIGMAS_95
 from locfuse.fusion.streams import MergedStream
 
-from .calibrate import Figure
-from .geometry import ASSUMED_RADIUS_M
+from .calibrate import ASSUMED_RADIUS_M, Figure
 from .motion import dead_reckoning
 from .steered import Encoders, read_encoders, rolled_by
 

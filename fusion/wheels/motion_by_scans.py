@@ -28,8 +28,7 @@ from locfuse.fusion.data import Array, Ints, LocfuseError, Stream, spaced, total
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser, equal_scans, points_in_base
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
-from locfuse.fusion.scan_matching.clouds import Clouds, few
-from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, sources_of
+from locfuse.fusion.scan_matching.match import Clouds, Matches, Targets, few, match, overlap, sources_of
 from locfuse.fusion.sensor import WheelMotion
 from locfuse.fusion.streams import seconds
 

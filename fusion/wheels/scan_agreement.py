@@ -20,12 +20,11 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import robust_sigma
 from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser
-from locfuse.fusion.scan_matching.clouds import Clouds, few
-from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, sources_of
+from locfuse.fusion.scan_matching.match import FLOOR_RAD, Clouds, Targets, few, match, sources_of
+from locfuse.fusion.statistics import robust_sigma
 from locfuse.fusion.streams import seconds
 
 from .motion_by_scans import STANDING

@@ -20,8 +20,16 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Estimates, Ints, Mask
-from locfuse.fusion.scan_matching.clouds import Clouds, Columns, merged, thinned
-from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
+from locfuse.fusion.scan_matching.match import (
+    Clouds,
+    Columns,
+    Matches,
+    Targets,
+    match,
+    merged,
+    sources_of,
+    thinned,
+)
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem, chi2_of, relative
 
 from .odometry import Odometry

@@ -19,8 +19,16 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Mask, Measurements, Motions, consecutive, spaced, totals
-from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merged
-from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
+from locfuse.fusion.scan_matching.match import (
+    Clouds,
+    Columns,
+    Matches,
+    Targets,
+    clouds_of,
+    match,
+    merged,
+    sources_of,
+)
 from locfuse.fusion.scan_matching.neighbours import good
 
 # m^2, rad^2 per metre driven and per radian turned: slips, uneven floors. The noise of the wheels alone is zero

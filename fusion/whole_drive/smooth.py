@@ -18,7 +18,16 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, UsageError, upper_triangles
+from locfuse.fusion.data import (
+    Array,
+    Drive,
+    Estimates,
+    Ints,
+    LocfuseError,
+    Motions,
+    UsageError,
+    upper_triangles,
+)
 from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
 from locfuse.fusion.ekf.events import (
     Added,
@@ -35,7 +44,7 @@ from locfuse.fusion.ekf.map_frame import map_covariance
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.mount import mount_blocks
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.wheels.states import WHEELS
+from locfuse.fusion.wheels.motion import WHEELS
 
 from .pose_graph import LASER, Graph, may_have_loops, whole_drive
 

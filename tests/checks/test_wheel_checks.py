@@ -20,7 +20,7 @@ from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_tra
 from locfuse.fusion.data import Drive
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.sources import SPEEDS_ALONE
+from locfuse.fusion.wheels.read import SPEEDS_ALONE
 from locfuse.sample_logs.scenario import load as scenario_of
 from locfuse.sample_logs.simulate import on_truth, write_log
 

@@ -16,7 +16,7 @@ from hypothesis import given, strategies as st
 
 from locfuse.cli import main as border
 from locfuse.formats.report import json_report
-from locfuse.formats.visible import UNSEEN, escaped, visible, visible_lines, writable
+from locfuse.formats.text import UNSEEN, escaped, visible, visible_lines, writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
 

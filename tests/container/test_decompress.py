@@ -15,11 +15,11 @@ import pytest
 import zstandard
 from bags import T0 as NS, database
 
-from locfuse.formats.caps import MAX_CHUNK
 from locfuse.formats.container import decompress as unpacking, source
 from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix, unpack_file
 from locfuse.formats.container.file_bytes import FileBytes, Losses
 from locfuse.formats.container.source import Messages, unpack
+from locfuse.formats.inputs import MAX_CHUNK
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError, Ragged
 

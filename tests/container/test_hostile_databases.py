@@ -19,12 +19,12 @@ from bags import drive, write
 from commands import locfuse, ok, refused
 from hostile import START, chunk, crashed_recording, sample, write as sample_write
 
-from locfuse.formats.caps import FREE_RECORDS, MAX_TOPICS
 from locfuse.formats.container import rosbag2_sqlite
 from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.ros1_bag import scan_chunk
 from locfuse.formats.container.rosbag2_sqlite import HEADER_BYTES, TimeLimit, journal_of
 from locfuse.formats.container.source import most_records
+from locfuse.formats.inputs import FREE_RECORDS, MAX_TOPICS
 from locfuse.formats.logs.files import log_files
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError

@@ -20,9 +20,8 @@ from rosbags.rosbag2 import Writer
 from benchmarks.__main__ import make_log
 from locfuse.cli.analysis.grouping import expanded
 from locfuse.formats.container import remote_objects as objects
-from locfuse.formats.container.file_bytes import Losses
+from locfuse.formats.container.file_bytes import Losses, Url, is_url, place
 from locfuse.formats.container.remote_objects import RemoteBytes
-from locfuse.formats.container.url import Url, is_url, place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError, UsageError
 

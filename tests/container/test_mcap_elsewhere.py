@@ -12,12 +12,11 @@ from mcap.writer import CompressionType
 from present import present
 from range_server import Shelf, serving
 
-from locfuse.formats.container.file_bytes import FileBytes, Losses
+from locfuse.formats.container.file_bytes import FileBytes, Losses, Url
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import ChunkRef, promised, read_summary, sort_by_time, summary_section
 from locfuse.formats.container.remote_objects import RemoteBytes
 from locfuse.formats.container.source import Part
-from locfuse.formats.container.url import Url
 
 NONE, ZSTD = CompressionType.NONE, CompressionType.ZSTD
 SCHEMA, CHANNEL, CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS = 3, 4, 8, 10, 11  # https://mcap.dev/spec

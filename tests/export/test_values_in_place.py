@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 from ruamel.yaml import YAML
 
-from locfuse.formats.robot.ros_nodes import section_of
+from locfuse.cli.ros.export import section_of
 from locfuse.formats.robot.ros_yaml import Setting, changed, in_yaml, parsed, render
 from locfuse.fusion.data import LocfuseError
 

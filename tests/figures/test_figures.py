@@ -12,10 +12,9 @@ import small_scene
 from msgspec.structs import replace
 
 from locfuse.formats.figures import palette, svg
-from locfuse.formats.figures.deviation import credit, spread
 from locfuse.formats.figures.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Spots, Strokes, linear_ticks, log_ticks
-from locfuse.formats.figures.sections import sections
+from locfuse.formats.figures.sections import credit, sections, spread
 from locfuse.formats.figures.where import spots, step, track, where
 from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array
@@ -215,7 +214,7 @@ def panel(**changes: object) -> Panel:
     return Panel(**{**base, **changes})  # type: ignore[arg-type]
 
 
-SLUGS = svg.slugs_of(["lrf", *palette.ROLES])
+SLUGS = {name: f"k{i}" for i, name in enumerate(["lrf", *palette.ROLES])}
 
 
 @pytest.mark.parametrize("equal", [False, True])

@@ -19,9 +19,8 @@ import locfuse
 from locfuse.cli.analysis.gates import Gates
 from locfuse.cli.analysis.settings import GateOptions, cells, swept
 from locfuse.cli.session.summary import mean_over, summarised
-from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import KINDS, csv, fleet_table, summary_files
 from locfuse.formats.report import summary as over
+from locfuse.formats.report.fleet import KINDS, Entry, csv, fleet_table, slim, summary_files
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.sensors.registry import colours
 

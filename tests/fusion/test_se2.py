@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from textbook import numeric_jacobian
 
 from locfuse.fusion import se2
-from locfuse.fusion.change import jackknife
+from locfuse.fusion.statistics import jackknife
 
 POSES = np.array(
     [[0.0, 0, 0], [1, 2, 0.3], [-3, 0.5, math.pi], [2, -1, 1e-9 - math.pi], [0.1, 0.2, 1e-9], [5, 5, 3]]

@@ -33,8 +33,7 @@ from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.mount import OTHER_MOUNT, Mount
 from locfuse.fusion.robot import Robot, StartSettings
-from locfuse.fusion.scan_matching.clouds import clouds_of
-from locfuse.fusion.scan_matching.match import Targets, match, sources_of
+from locfuse.fusion.scan_matching.match import Targets, clouds_of, match, sources_of
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth

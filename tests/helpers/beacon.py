@@ -6,10 +6,10 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.sensor import Ask, Belief, Bias, Model, Sensor, SensorSettings, WheelMotion
+from locfuse.fusion.statistics import chi_square
 
 Point = tuple[float, float]
 

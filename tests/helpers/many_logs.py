@@ -15,8 +15,7 @@ import numpy as np
 
 import locfuse
 from locfuse.cli.session.summary import summarised
-from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import KINDS, summary_files
+from locfuse.formats.report.fleet import KINDS, Entry, slim, summary_files
 from locfuse.fusion.sensors.registry import colours
 
 LIGHT = ("camera.enabled=false", "lrf.enabled=false")

@@ -24,7 +24,7 @@ from locfuse.fusion.data import (
 )
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate, running_nis
-from locfuse.fusion.judge.predictive import listeners, scores
+from locfuse.fusion.judge.without_truth import listeners, scores
 
 NAMES = ("odometry", "compass", "lrf", "camera", "compass+lrf", "all")
 COMPONENTS = {

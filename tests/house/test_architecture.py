@@ -28,8 +28,8 @@ DRAWS_IN_RERUN = {  # imported by formats/rerun/recording.py, inside its functio
 # Floors, lowest first. A name is a room, or a file at the root of a top folder.
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
-        "chi_square data progress se2",
-        "change geodesy kernels scan_matching streams",
+        "data progress se2",
+        "geodesy kernels scan_matching statistics streams",
         "camera sensor",
         "ekf lines mount robot",
         "wheels",
@@ -40,10 +40,10 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "paper tune whole_drive",
     ),
     "formats": (
-        "caps columns geometry nearest versions visible",
+        "columns geometry text versions",
         "figures inputs",
         "report robot whole_files",
-        "container fleet rerun",
+        "container rerun",
         "messages",
         "logs",
         "results",

@@ -20,10 +20,9 @@ from traps import ROLLED, decoded, field, gyro, imu, raw, short_metre, without_c
 
 import locfuse as api
 from locfuse import sample_logs
-from locfuse.cli.terminal import text_table
 from locfuse.cli.terminal.info_text import CORRECT, RECORD
 from locfuse.formats.report.findings import void_reasons
-from locfuse.formats.report.table import Column, of_words
+from locfuse.formats.report.table import Column, of_words, terminal_lines
 
 GEOMETRY = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.4")
 
@@ -139,13 +138,13 @@ def test_a_table_keeps_its_first_column_and_the_ends_of_long_words() -> None:
         Column("x", "x", rank=1),
     )
     table = of_words(columns, zip(names, kinds, ("1", "2"), strict=True))
-    assert text_table.lines(table, None)[1].split() == [names[0], kinds[0], "1"]
+    assert terminal_lines(table, None)[1].split() == [names[0], kinds[0], "1"]
     for width in range(30, 80):
-        lines = text_table.lines(table, width)
+        lines = terminal_lines(table, width)
         assert max(map(len, lines)) <= width
         assert lines[1].split()[0].startswith("/a/v")
         assert lines[1].split()[0].endswith("rts")
-    assert text_table.lines(of_words(columns[:1], [("",)]), 80) == []
+    assert terminal_lines(of_words(columns[:1], [("",)]), 80) == []
 
 
 def test_what_is_missing_of_the_wheels_is_told_with_what_to_do(tmp_path: Path) -> None:

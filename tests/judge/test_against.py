@@ -17,13 +17,20 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import data, se2
 from locfuse.fusion.data import Audit, Drive, Estimates, Jump, Measurements, Motions, stretches, upper_triangles
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.against import Reference, interpolated
 from locfuse.fusion.judge.credit import Effect
-from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.events import events_of_drive, events_of_run
-from locfuse.fusion.judge.own_scans import Distance, OwnScans
-from locfuse.fusion.judge.predictive import OUTLIER_SHARE, contradictions, listeners, log_density, ranking, scores
+from locfuse.fusion.judge.evaluate import evaluate, events_of_drive, events_of_run
+from locfuse.fusion.judge.without_truth import (
+    OUTLIER_SHARE,
+    Distance,
+    OwnScans,
+    contradictions,
+    listeners,
+    log_density,
+    ranking,
+    scores,
+)
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.whole_drive.reference import Reference, interpolated
 
 N = 400
 SIGMA = 0.02  # m, of each axis of the solved drive

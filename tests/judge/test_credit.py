@@ -27,7 +27,7 @@ from locfuse.fusion.judge.credit import (
     verdict,
 )
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.predictive import Score
+from locfuse.fusion.judge.without_truth import Score
 
 SENSORS = ("compass", "lrf")
 HELP = {"helps", "seems to help"}  # one short drive seldom proves it

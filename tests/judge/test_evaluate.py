@@ -13,9 +13,9 @@ from scipy.integrate import quad
 
 import locfuse
 from locfuse.fusion import data, se2
-from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Measurements, Truth
 from locfuse.fusion.judge.evaluate import Align, evaluate, nees, noise_of, shape_error, steps_of
+from locfuse.fusion.statistics import chi_square
 
 N = 6000
 POINTS = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.3, 0.4), (0.3, -0.6)]

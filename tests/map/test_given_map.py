@@ -23,7 +23,7 @@ from wheel_bags import GEOMETRY, joint_states, turned
 from worlds import World
 
 from benchmarks.floor_plan import FloorPlan, floor_plan, write as write_plan
-from locfuse.formats.robot import line_map
+from locfuse.formats.robot import map_files
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, MapLine
 from locfuse.fusion.fuse import fuse
@@ -39,7 +39,7 @@ LINES = [MapLine(3, 2.0, 0.4, (-1.0, 2.5), P, 17), MapLine(8, -1.5, -3.0, (4.0, 
 
 
 def test_a_map_survives_its_file() -> None:
-    back = line_map.decode(line_map.encode(LINES), "map.json")
+    back = map_files.decode_lines(map_files.encode_lines(LINES), "map.json")
     for a, b in zip(LINES, back, strict=True):
         assert (a.id, a.hits) == (b.id, b.hits)
         assert (b.rho, math.cos(b.beta - a.beta)) == pytest.approx((a.rho, 1.0))
@@ -48,7 +48,7 @@ def test_a_map_survives_its_file() -> None:
 
 
 def test_the_file_holds_points_on_the_walls() -> None:
-    walls = json.loads(line_map.encode(LINES))["lines"]
+    walls = json.loads(map_files.encode_lines(LINES))["lines"]
     for line, wall in zip(LINES, walls, strict=True):
         for x, y in (wall["from"], wall["to"]):
             assert x * math.cos(line.beta) + y * math.sin(line.beta) == pytest.approx(line.rho)
@@ -69,7 +69,7 @@ def test_the_file_holds_points_on_the_walls() -> None:
 )
 def test_what_is_no_map_is_refused_in_one_line(text: str, says: str) -> None:
     with pytest.raises(LocfuseError, match=says) as problem:
-        line_map.decode(text, "map.json")
+        map_files.decode_lines(text, "map.json")
     assert "\n" not in str(problem.value)
 
 

@@ -10,8 +10,8 @@ import rooms
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.map import submap_path
-from locfuse.fusion.map.submap_path import DRIFT_RAD_PER_M, MIN_KEYS, ScanMatchedPath, compared, end_pose
+from locfuse.fusion.map import small_maps
+from locfuse.fusion.map.small_maps import DRIFT_RAD_PER_M, MIN_KEYS, ScanMatchedPath, compared, end_pose
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import MATCH_WIDTH, key_scans
 from locfuse.fusion.scan_matching.solve import Edges
@@ -195,7 +195,7 @@ def test_a_path_of_too_many_few_or_no_points_is_left_as_it_is(
     followed(Measurements(m.t, m.first, m.z, m.R_unit, m.scale, m.floor), path).end(None, belief)
     followed(m, path[: int(key_scans(m).readings[MIN_KEYS - 1]) + 1]).end(None, belief)
     ScanMatchedPath(m, 1, path[1]).end(None, belief)  # none
-    monkeypatch.setattr(submap_path, "MAX_KEYS", 5)
+    monkeypatch.setattr(small_maps, "MAX_KEYS", 5)
     followed(m, path).end(None, belief)
     assert belief.pose() == (0.0, 0.0, 0.0)
 

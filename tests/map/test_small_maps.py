@@ -12,11 +12,18 @@ from locfuse.fusion.data import Array, Estimates
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.map.anchors import Anchors, Edge, inverted
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.map.place_search import find_closure, rival_spread
-from locfuse.fusion.map.small_maps import FrozenMap, begin_submap, heading_among, shared_walls
-from locfuse.fusion.map.submap_path import SubmapPath
+from locfuse.fusion.map.small_maps import (
+    Anchors,
+    Edge,
+    FrozenMap,
+    SubmapPath,
+    begin_submap,
+    heading_among,
+    inverted,
+    shared_walls,
+)
 from locfuse.fusion.scan_matching.solve import NOWHERE
 
 P_STEP = np.diag(np.square((0.1, 0.05, 0.02)))

@@ -15,8 +15,8 @@ from invented import decode
 from present import present
 
 from benchmarks.field_paths import paths
-from locfuse.formats.caps import MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
+from locfuse.formats.inputs import MAX_EXPRESSIONS
 from locfuse.formats.logs.files import encoding_problem, make_decoder
 from locfuse.formats.messages import schema, schema as kinds
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema

@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 from invented import decode as decode_by, plain
 
 from benchmarks.field_paths import paths
-from locfuse.formats.caps import MAX_DEFINITION
+from locfuse.formats.inputs import MAX_DEFINITION
 from locfuse.formats.messages import protobuf_messages, schema as message_schema
 from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors
 from locfuse.formats.messages.schema import Decoded, SchemaError

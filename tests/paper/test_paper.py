@@ -17,7 +17,7 @@ from locfuse.cli.session import paper
 from locfuse.cli.session.paper import Driven
 from locfuse.cli.session.session import load
 from locfuse.formats.report import json_report, paper_page
-from locfuse.formats.robot import line_map
+from locfuse.formats.robot import map_files
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.measure import cut
@@ -237,7 +237,7 @@ def test_an_unknown_preset_is_refused_with_the_known_ones(log: Path, tmp_path: P
 
 def test_the_printed_filter_refuses_a_given_map_and_does_not_pass_it_by(tmp_path: Path) -> None:
     hall = tmp_path / "hall.json"
-    hall.write_text(line_map.encode((), "nowhere"))
+    hall.write_text(map_files.encode_lines((), "nowhere"))
     words = ("run", "rounded_rectangle", "--map", hall, "--preset", "paper", "-o", tmp_path / "out")
     assert "leave --preset paper out" in refused(*words, code=2)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from commands import jobs_here, ok
 
-from locfuse.formats.fleet.page import MAX_TINT_PERCENT
+from locfuse.formats.report.fleet import MAX_TINT_PERCENT
 
 MIN_CONTRAST_RATIO = 4.5  # of text (WCAG 2.2, 1.4.3, level AA)
 CSS = (files("locfuse.formats.report") / "report.css").read_text(encoding="utf-8")

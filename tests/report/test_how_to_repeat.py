@@ -13,7 +13,7 @@ from commands import reported
 import locfuse as api
 from locfuse import sample_logs
 from locfuse.cli.analysis.robot_tables import table_types
-from locfuse.formats.robot import units
+from locfuse.formats.robot import robot_toml
 
 SETS = ("--sensors", "odometry", "--sensors", "compass", "--align", "origin", "--set", "compass.sigma_deg=4")
 
@@ -98,4 +98,5 @@ def test_every_number_of_robot_toml_has_a_unit_or_is_known_to_have_none() -> Non
         for field in msgspec.structs.fields(kind):
             path = f"{table}.{field.encode_name}"
             if re.search(r"float|\bint\b", str(field.type)):
-                assert bool(units.of(table, field.encode_name)) != (path in none or path.endswith(".gate")), path
+                unit = robot_toml.unit_of(table, field.encode_name)
+                assert bool(unit) != (path in none or path.endswith(".gate")), path

@@ -14,9 +14,8 @@ from many_logs import LIGHT, THERE_AND_BACK, write_logs
 
 from locfuse.cli.analysis.grouping import logs_of, results_of
 from locfuse.cli.session.summary import summarised
-from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import csv, fleet_table
 from locfuse.formats.report import changes as sides, summary as over
+from locfuse.formats.report.fleet import Entry, csv, fleet_table, slim
 from locfuse.formats.report.table import records
 from locfuse.fusion.data import UsageError
 

@@ -11,7 +11,7 @@ import pytest
 import small_scene
 from commands import locfuse, ok
 
-from locfuse.cli.terminal import show, text_table
+from locfuse.cli.terminal import show
 from locfuse.formats.report import table as render, tables
 from locfuse.formats.report.findings import notes_of
 from locfuse.formats.report.glossary import GLOSSARY, explained
@@ -90,13 +90,13 @@ def test_units_stand_in_the_heading_and_what_does_not_exist_is_the_mediums_dash(
     assert "| name | length, m | share |" in render.markdown(TABLE)
     assert "name & length [m] & share" in render.latex(TABLE)
     assert '<th scope="col">length,\u00a0m</th>' in render.html(TABLE)
-    heads, first, _ = text_table.lines(TABLE, None)
+    heads, first, _ = render.terminal_lines(TABLE, None)
     assert heads.split() == ["name", "len,", "m", "share"]
     assert first.split() == ["short", "1.2", "50.0%"]
     assert in_markdown(TABLE)[1] == ["none", "-", "-"]
     assert in_html(TABLE)[1] == ["none", "–", "–"]
     assert in_latex(TABLE)[1] == ["none", "--", "--"]
-    assert text_table.lines(TABLE, None)[2].split() == ["none", "-", "-"]
+    assert render.terminal_lines(TABLE, None)[2].split() == ["none", "-", "-"]
     assert render.csv(TABLE).splitlines()[2] == "none,,"
     assert records(TABLE)[1]["length_m"] is None
 
@@ -149,16 +149,16 @@ def test_everything_is_one_flat_record_per_configuration(report: dict[str, Any])
 @pytest.mark.parametrize("width", [120, 80, 60, 50, 40])
 def test_a_narrow_terminal_loses_columns_and_never_digits(report: dict[str, Any], width: int) -> None:
     table = tables.configurations(report)
-    lines = text_table.lines(table, width)
+    lines = render.terminal_lines(table, width)
     assert max(map(len, lines)) <= width
     body = "\n".join(lines)
     assert "…" not in body
     for values in report["configurations"].values():
         assert f" {values['position_rmse_m']:.3f}" in body
-    wide = text_table.lines(table, None)
+    wide = render.terminal_lines(table, None)
     assert "rmse, m " in wide[0]
     assert "drift/5 m" in wide[0]
-    assert wide == text_table.lines(table, 120)
+    assert wide == render.terminal_lines(table, 120)
 
 
 def test_a_name_repeated_from_the_row_above_can_be_left_out() -> None:

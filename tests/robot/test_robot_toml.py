@@ -13,12 +13,17 @@ from hypothesis import given, strategies as st
 from present import present
 
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.formats.caps import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML, MAX_TRANSFORMS
+from locfuse.formats.inputs import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML, MAX_TRANSFORMS
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.robot.commented_toml import updated
-from locfuse.formats.robot.robot_toml import apply_sets, dump, layered, merge, parse
-from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, Transform, planar_mount, static_transforms
-from locfuse.formats.robot.urdf import wheel_geometry
+from locfuse.formats.robot.robot_toml import apply_sets, dump, layered, merge, parse, updated
+from locfuse.formats.robot.transforms import (
+    FIELDS,
+    StaticTransforms,
+    Transform,
+    planar_mount,
+    static_transforms,
+    wheel_geometry,
+)
 from locfuse.fusion.data import LocfuseError, Ragged, UsageError
 
 

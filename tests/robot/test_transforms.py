@@ -10,7 +10,7 @@ from bags import T0, Said, cdr, real_log, write
 from present import present
 from scipy.spatial.transform import Rotation
 
-from locfuse.formats.caps import MAX_TEXT
+from locfuse.formats.inputs import MAX_TEXT
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.robot.transforms import (
     FIELDS,
@@ -19,8 +19,8 @@ from locfuse.formats.robot.transforms import (
     planar_mount,
     roll_pitch_yaw,
     static_transforms,
+    wheel_geometry,
 )
-from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion.data import LocfuseError, Ragged
 
 BASES = ("base_link", "base_footprint", "base")

@@ -11,7 +11,7 @@ from wheel_bags import CREATE, CREATE_TEXT, TURTLE, TURTLE_TEXT, angles, custom,
 
 from locfuse import robots
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.cli.inspect.known_robots import SIGNS_OF_ROBOTS
+from locfuse.cli.inspect.template import SIGNS_OF_ROBOTS
 
 
 @pytest.mark.parametrize("name", robots.names())

@@ -7,8 +7,7 @@ from scipy.optimize import least_squares
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.scan_matching.clouds import CELL_M, Clouds, normals, thinned
-from locfuse.fusion.scan_matching.match import Targets, match, sources_of
+from locfuse.fusion.scan_matching.match import CELL_M, Clouds, Targets, match, normals, sources_of, thinned
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
 from locfuse.fusion.whole_drive.closures import Views, correlate
 

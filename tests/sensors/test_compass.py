@@ -22,8 +22,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
-from locfuse.fusion.sensors.iron import Iron, fit_iron, iron_error_deg, plausible
-from locfuse.fusion.sensors.level import LevelledField, tilt_of
+from locfuse.fusion.sensors.magnetic import Iron, LevelledField, fit_iron, iron_error_deg, plausible, tilt_of
 from locfuse.fusion.wheels.motion import Wheels
 
 STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)

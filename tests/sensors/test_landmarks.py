@@ -18,7 +18,7 @@ from textbook import numeric_jacobian, wrap
 from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of
 
 import locfuse as package
-from locfuse.formats.robot import landmark_map
+from locfuse.formats.robot import map_files
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -153,7 +153,7 @@ def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_pat
     path = tmp_path / "landmarks.csv"
     path.write_text(text)
     with pytest.raises(LocfuseError, match="landmarks") as error:
-        landmark_map.read(path)
+        map_files.read_landmarks(path)
     assert says in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -396,7 +396,7 @@ def test_without_a_map_the_anchors_are_found_beside_the_drive(tmp_path: Path) ->
     own = sets(f"ranges.file={tmp_path / 'ranges.csv'}", "ranges.map=grow", f"ranges.sigma={SIGMA}")
     words = ("--sensors", "ranges", "--save-map", tmp_path / "found.csv", "-o", tmp_path / "run")
     ok("run", tmp_path / "x.mcap", "--no-advice", *GEOMETRY, *own, *words)
-    found = landmark_map.read(tmp_path / "found.csv")
+    found = map_files.read_landmarks(tmp_path / "found.csv")
     for key, place in ANCHORS.items():  # in the frame of the start
         expected = se2.transform(se2.inverse(np.array(START)), np.array(place))
         assert np.hypot(*(np.array(found[str(key)]) - expected)) < 0.25

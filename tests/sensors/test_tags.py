@@ -17,7 +17,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of, messages
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.logs.transform_stream import named_as_tag, number_of
 from locfuse.formats.messages.schema import Scalar, Structure, resolve
-from locfuse.formats.robot import landmark_map
+from locfuse.formats.robot import map_files
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Ragged
 from locfuse.fusion.sensors.landmarks import NO_ID, Sighted, sighted
 
@@ -169,7 +169,7 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     made = tmp_path / "made.csv"
     words = ("--sensors", "landmarks", "--save-map", made, "-o", tmp_path / "run")
     ok("run", files[0], "-v", "--no-advice", *GEOMETRY, *grow, *words)
-    places = landmark_map.read(made)
+    places = map_files.read_landmarks(made)
     assert {int(k) for k in places} == set(MAP)
     for key, place in places.items():
         assert np.hypot(*(np.array(place) - MAP[int(key)])) < 0.15

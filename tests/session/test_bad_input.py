@@ -12,7 +12,7 @@ from rewrite_log import rewritten
 
 import locfuse
 from locfuse import sample_logs
-from locfuse.cli.session.jitter import Jittered, add_ranges
+from locfuse.cli.analysis.compare import Jittered, add_ranges
 from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
 
 LOG = "rounded_rectangle"

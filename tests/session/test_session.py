@@ -19,7 +19,6 @@ from many_logs import LIGHT, THERE_AND_BACK, write_logs
 import locfuse
 from locfuse.cli.analysis import load
 from locfuse.cli.session.python_words import in_python, in_tools
-from locfuse.formats.report import notebook
 from locfuse.fusion.camera import detect
 from locfuse.fusion.fuse import BLOCK_INSTANTS
 from locfuse.fusion.lines.scans import lines_in_base
@@ -206,9 +205,11 @@ def test_a_notebook_shows_verdicts_table_and_paths_without_markup_of_a_log(
     assert f"lrf {compared.verdicts['lrf']['verdict']}." in words
     assert f"{1000.0 * compared.report['configurations']['lrf']['position_rmse_m']:.1f}" in words
     assert page.count("<tr") == 1 + len(compared.estimates)
+    from locfuse.formats.report import html
+
     evil = "<script>alert(1)</script>"
     report = {**compared.report, "verdicts": {"lrf": {"verdict": "helps", "words": evil}}}
-    assert "<script" not in notebook.render(report)
+    assert "<script" not in html.notebook_report(report)
     run = session.run("compass", advice=False)
     shown = run._repr_html_()
     assert "<table" in shown

@@ -25,12 +25,12 @@ from locfuse.fusion.wheels.calibrate import (
     find_pieces,
     find_runs,
 )
-from locfuse.fusion.wheels.calibrate_by_gyro import calibrate_by_gyro
-from locfuse.fusion.wheels.calibrate_by_scans import (
+from locfuse.fusion.wheels.calibrate_without_truth import (
     NAMES,
     Intervals as Pieces,
     ScanMotions,
-    calibrate,
+    calibrate_by_gyro,
+    calibrate_by_scans,
     first_guess,
 )
 from locfuse.fusion.wheels.motion import Wheels
@@ -357,7 +357,7 @@ def true() -> Array:
 
 def test_all_parameters_are_found_and_their_sigmas_are_right() -> None:
     """Six drives: no parameter further off than three sigma, and none whose sigma is idle talk."""
-    found = [calibrate([laser_drive(seed)]) for seed in range(6)]
+    found = [calibrate_by_scans([laser_drive(seed)]) for seed in range(6)]
     z = np.array([(one.parameters - true()) / one.sigmas for one in found])
     assert np.isfinite(z).all()
     assert np.abs(z).max() < 3.0
@@ -379,7 +379,7 @@ def test_the_closed_form_alone_comes_near_from_nothing() -> None:
 )
 def test_what_a_drive_does_not_tell_is_said(turns: bool, straight: bool, undetermined: set[str]) -> None:
     """Straight on nothing says where the laser sits; on the spot nothing says how far a wheel rolls."""
-    found, both = (calibrate([laser_drive(0, *how)]) for how in ((turns, straight), ()))
+    found, both = (calibrate_by_scans([laser_drive(0, *how)]) for how in ((turns, straight), ()))
     vague = {name for name, s, b in zip(NAMES, found.sigmas, both.sigmas, strict=True) if s > 10.0 * b}
     assert undetermined <= set(found.undetermined()) | vague
 
@@ -390,7 +390,7 @@ def test_slips_and_wrong_matches_are_left_out() -> None:
     twist[50] += (0.5, 0.3, 0.6)
     assert motion.laser.matched is not None
     wrong = Wheels.from_matches(motion.laser.t, twist, motion.laser.matched, LASER_TRACK, LASER_K)
-    found = calibrate([motion._replace(laser=wrong)])
+    found = calibrate_by_scans([motion._replace(laser=wrong)])
     assert found.outliers >= 1
     assert np.abs((found.parameters - true()) / found.sigmas).max() < 3.0
 
@@ -399,9 +399,9 @@ def test_wheels_in_another_unit_and_a_short_drive_are_refused_in_words() -> None
     motion = laser_drive(0)
     far = Wheels.from_twists(motion.wheels.t, motion.wheels.twist * (57.3, 57.3, 1.0), LASER_TRACK, LASER_K)
     with pytest.raises(LocfuseError, match=r"goes 0\.0\d+ times as far as by the wheels"):
-        calibrate([motion._replace(wheels=far)])
+        calibrate_by_scans([motion._replace(wheels=far)])
     with pytest.raises(LocfuseError, match="at least 12"):
-        calibrate([laser_drive(0, seconds=4.0)])
+        calibrate_by_scans([laser_drive(0, seconds=4.0)])
 
 
 LEGS = (

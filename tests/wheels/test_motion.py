@@ -13,8 +13,7 @@ from locfuse.formats.report.findings import notes_of
 from locfuse.fusion import se2
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.states import derivative, geometry
+from locfuse.fusion.wheels.motion import Wheels, geometry_by_states, geometry_of_states
 
 TRACK, K = 0.6, 4e-4
 RNG = np.random.default_rng(5)
@@ -301,7 +300,8 @@ def test_in_however_long_a_silence_a_heading_is_at_most_unknown() -> None:
 
 def test_geometry_s_derivative_equals_finite_differences() -> None:
     for x in ([0.0, 0.0, 0.0], [0.05, -0.02, 0.3], [-0.1, 0.03, -0.2]):
-        np.testing.assert_allclose(derivative(np.array(x)), numeric_jacobian(geometry, np.array(x)), atol=1e-8)
+        numeric = numeric_jacobian(geometry_of_states, np.array(x))
+        np.testing.assert_allclose(geometry_by_states(np.array(x)), numeric, atol=1e-8)
 
 
 def test_states_mean_what_wheels_of_that_geometry_do() -> None:
@@ -313,7 +313,7 @@ def test_states_mean_what_wheels_of_that_geometry_do() -> None:
     told = Wheels.from_wheels(t, left, right, 0.5, 1e-4).between(t[:-1], t[1:], parameters=True)
     real = Wheels.from_wheels(t, 1.04 * left, 1.04 * right, 0.6, 1e-4).between(t[:-1], t[1:])
     np.testing.assert_allclose(told.u + told.J @ x, real.u, atol=2e-6)
-    np.testing.assert_allclose(geometry(x), [0.04, 0.0, 0.2], atol=1e-12)
+    np.testing.assert_allclose(geometry_of_states(x), [0.04, 0.0, 0.2], atol=1e-12)
 
 
 def drive(sensors: Sequence[str], *sets: str) -> Estimates:

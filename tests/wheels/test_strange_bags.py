@@ -42,9 +42,8 @@ from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
-from locfuse.fusion.wheels.geometry import by_odometry
-from locfuse.fusion.wheels.read import read_wheels
-from locfuse.fusion.wheels.sources import joint_names
+from locfuse.fusion.wheels.calibrate import geometry_by_odometry
+from locfuse.fusion.wheels.read import joint_names, read_wheels
 
 T = np.arange(0.0, 5.01, 0.1)
 CIRCLE = on_circle(RATE * T)
@@ -359,7 +358,9 @@ def counters_and_odometry(path: Path, t: Array) -> tuple[Any, Any]:
 
 def test_the_size_of_the_wheels_is_what_an_odometry_of_arcs_was_made_with(tmp_path: Path) -> None:
     """Along an arc the wheels roll further than the robot comes ahead: by the chord they were 0.5 % too small."""
-    found = present(by_odometry(*counters_and_odometry(tmp_path, np.arange(0.0, 40.0, 0.1)), WheelSettings()))
+    found = present(
+        geometry_by_odometry(*counters_and_odometry(tmp_path, np.arange(0.0, 40.0, 0.1)), WheelSettings())
+    )
     assert (found.radius, found.track) == pytest.approx((0.05, 0.3), rel=1e-4)
 
 
@@ -367,7 +368,7 @@ def test_a_clock_that_jumps_by_years_does_not_make_a_window_of_every_half_second
     """12 years of windows took 6 GiB."""
     streams = counters_and_odometry(tmp_path, np.append(np.arange(0.0, 40.0, 0.1), 4e8))
     tracemalloc.start()
-    by_odometry(*streams, WheelSettings())
+    geometry_by_odometry(*streams, WheelSettings())
     assert tracemalloc.get_traced_memory()[1] < 50e6
     tracemalloc.stop()
 

@@ -14,10 +14,9 @@ import locfuse
 from locfuse.fusion import data, se2
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, Ints, LocfuseError
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.scan_matching.clouds import clouds_of
+from locfuse.fusion.scan_matching.match import clouds_of
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.gps import GpsSettings
 from locfuse.fusion.whole_drive import closures, odometry, pose_graph, smooth
@@ -35,7 +34,7 @@ from locfuse.fusion.whole_drive.odometry import (
     smoothed,
 )
 from locfuse.fusion.whole_drive.others import Others
-from locfuse.fusion.whole_drive.reference import References, refuse, sets
+from locfuse.fusion.whole_drive.reference import Reference, References, reference_sets, refuse_reference
 
 
 @cache
@@ -456,17 +455,17 @@ def only(*sensors: str) -> Drive:
 
 def test_all_sensors_are_solved_and_all_but_each_that_leave_one_which_locates() -> None:
     pairs = [("lrf", "camera"), ("compass", "camera"), ("compass", "lrf")]
-    assert sets(session().drive) == [("compass", "lrf", "camera"), *pairs]
-    assert sets(only("compass", "lrf")) == [("compass", "lrf"), ("lrf",)]
-    assert sets(only("compass")) == []
+    assert reference_sets(session().drive) == [("compass", "lrf", "camera"), *pairs]
+    assert reference_sets(only("compass", "lrf")) == [("compass", "lrf"), ("lrf",)]
+    assert reference_sets(only("compass")) == []
 
 
 def test_where_no_sensor_locates_or_a_truth_is_known_there_is_no_reference() -> None:
     with pytest.raises(data.UsageError, match="no sensor of this log shows where"):
-        refuse(only("compass"), session().robot)
+        refuse_reference(only("compass"), session().robot)
     log = locfuse.load("rounded_triangle")
     with pytest.raises(data.UsageError, match="has a truth, /ground_truth/pose"):
-        refuse(log.drive, log.robot)
+        refuse_reference(log.drive, log.robot)
 
 
 def test_a_sensor_that_measured_nothing_makes_no_reference() -> None:
@@ -475,9 +474,9 @@ def test_a_sensor_that_measured_nothing_makes_no_reference() -> None:
     lrf = both.measurements["lrf"]
     none = replace(lrf, t=lrf.t[:0], first=lrf.first[:1], z=lrf.z[:0], R_unit=lrf.R_unit[:0])
     dead = replace(both, measurements={**both.measurements, "lrf": none})
-    assert sets(dead) == []
+    assert reference_sets(dead) == []
     with pytest.raises(data.UsageError, match="no sensor of this log shows where"):
-        refuse(dead, session().robot)
+        refuse_reference(dead, session().robot)
 
 
 def test_a_sensor_is_judged_by_the_others_and_all_of_them_by_all() -> None:

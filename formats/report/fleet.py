@@ -1,21 +1,23 @@
-"""summary.html: one self-contained page over all logs, with links to the page of each log.
+"""Reports over many logs: the short form of each log's report, a row per log (CSV, Parquet), and one HTML page.
 
-Content that grows with the number of logs is aggregated (distributions, days) or limited to the worst rows: ten
-thousand logs give a page below 3 MB.
+Ten thousand short forms fit into memory. On the page, what grows with the number of logs is aggregated
+(distributions, days) or limited to the worst rows: ten thousand logs give a page below 3 MB.
 """
 
 from __future__ import annotations
 
+import io
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import date
 from importlib.resources import files
 from pathlib import PurePosixPath
 from statistics import median
-from typing import Any
+from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
+import msgspec
 import numpy as np
 from markupsafe import Markup
 from msgspec.structs import replace
@@ -23,13 +25,207 @@ from msgspec.structs import replace
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Section
-from locfuse.formats.report import summary as over
-from locfuse.formats.report.html import page_of, section_drawings
-from locfuse.formats.report.table import SIGNS, Cell, Column, Swatches, Table, html, of_rows
-from locfuse.formats.report.tables import RMSE
 from locfuse.fusion.data import Array, Colour
 
-from .entry import Entry
+from . import json_report, summary as over
+from .findings import void_reasons
+from .html import page_of, section_drawings
+from .table import SIGNS, Cell, Column, Swatches, Table, csv_text, html, of_rows
+from .tables import RMSE
+
+State = Literal["done", "failed", "not run"]
+COUNTS = ("accepted", "rejected", "absent", "nis")  # of a sensor in a configuration
+EFFECTS = ("credit", "alone", "leave_one_out")  # of a sensor on the position error
+
+
+class Entry(msgspec.Struct, frozen=True):
+    """One log of many: its state and the short form of its report."""
+
+    name: str
+    robot: str | None = None
+    state: State = "done"
+    reason: str = ""  # why it failed or was not run, in one line
+    report: Mapping[str, Any] = {}  # short form by `slim`; empty unless done
+    cells: tuple[str, ...] = ()  # names of the cells of a sweep; a cell is one combination of settings
+
+    @property
+    def losses(self) -> dict[str, int]:
+        """Unreadable bytes and messages of the log."""
+        places = (self.report.get("input", {}).get("losses") or {}).values()
+        return {unit: sum(p[unit] for p in places) for unit in ("bytes", "messages")}
+
+    @property
+    def void(self) -> list[str]:
+        """Reasons why error figures of this log are void (not valid)."""
+        return list(self.report.get("void") or ())
+
+    @property
+    def doubtful(self) -> list[str]:
+        """Reasons why error figures of this log are doubtful; its verdicts are then withdrawn."""
+        return list(self.report.get("doubtful") or ())
+
+
+def label(configuration: str, cell: str) -> str:
+    """Return the name of a configuration in a cell of a sweep: "lrf [lrf.noise=0.1]"."""
+    return f"{configuration} [{cell}]" if cell else configuration
+
+
+def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the short form of the reports of one log.
+
+    `reports` maps a cell of a sweep (a combination of settings; "" without a sweep) to its report. Verdicts and
+    effects are taken from the first cell.
+    """
+    first = next(iter(reports.values()))
+    source = first["input"]
+    return {
+        "input": {key: source.get(key) for key in ("name", "size", "identity", "sha256", "start", "losses")},
+        "configurations": {
+            label(name, cell): {
+                **{key: value for key, value in values.items() if not isinstance(value, Mapping | list)},
+                "configuration": name,
+                "cell": cell,
+                "slowed": bool(values.get("rates_hz")),
+                "key": report.get("key"),
+            }
+            for cell, report in reports.items()
+            for name, values in report["configurations"].items()
+        },
+        "sensors": {
+            label(name, cell): {s: [found[c] for c in COUNTS] for s, found in values["sensors"].items()}
+            for cell, report in reports.items()
+            for name, values in report["configurations"].items()
+        },
+        "void": list(dict.fromkeys(line for report in reports.values() for line in void_reasons(report))),
+        "doubtful": [v["message"] for v in first.get("validity") or () if not v["void"]],
+        "findings": [(f["role"], f["code"], f["message"], bool(f["fixes"])) for f in first.get("findings") or ()],
+        "verdicts": {sensor: v["verdict"] for sensor, v in (first.get("verdicts") or {}).items()},
+        "credit": _effects(first.get("credit")),
+        "measured": first.get("measured"),
+    }
+
+
+def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Return each sensor's effects without confidence intervals, which are computed over all logs later."""
+    if not credit:
+        return None
+    sensors = {
+        sensor: {
+            "verdict": "",
+            **{key: found[key] for key in ("share", "anees_without", "anees_with", "beside")},
+            **{name: (e := found[name]) and {"ln": e["ln"], "expected": e["expected"]} for name in EFFECTS},
+        }
+        for sensor, found in credit["sensors"].items()
+    }
+    return {"complete": credit["complete"], "total_factor": credit["total_factor"], "sensors": sensors}
+
+
+KINDS = frozenset({"json", "md", "csv", "html"})
+PARQUET = "fleet.parquet"
+
+
+def summary_files(
+    summary: Mapping[str, Any],
+    entries: Sequence[Entry],
+    asked: Collection[str],
+    colours: Mapping[str, Colour],
+    sweep: Sequence[str] = (),
+) -> dict[str, str | bytes]:
+    """Return file name -> content: summary.json, and the kinds in `asked` (all kinds if it is empty).
+
+    `colours`: the colour of every sensor known to locfuse.
+    """
+    kinds = KINDS.intersection(asked) or KINDS
+    files: dict[str, str | bytes] = {"summary.json": json_report.encode(summary)}
+    if "md" in kinds:
+        files["summary.md"] = over.render(summary)
+    if "csv" in kinds:
+        table = fleet_table(entries, sweep)
+        files["summary.csv"] = csv(table)
+        packed = parquet(table)
+        files |= {} if packed is None else {PARQUET: packed}
+    if "html" in kinds:
+        files["summary.html"] = _page(summary, entries, colours)
+    return files
+
+
+# --- Tables with a row per log, configuration and cell of a sweep, or per failed log: CSV and Parquet
+
+FIRST_COLUMNS = ("log", "robot", "start", "configuration", "cell", "state", "reason")
+LAST_COLUMNS = ("lost_bytes", "lost_messages", "key")
+TEXT = {*FIRST_COLUMNS, "key", "align"}
+NOT_FIGURES = ("configuration", "cell", "slowed", "key")  # entries of a configuration without a figure
+
+
+class FleetTable(NamedTuple):
+    """Columns of the table, and its rows in the order of the logs; a row lacks the keys of missing values."""
+
+    columns: tuple[str, ...]
+    rows: list[dict[str, Any]]
+    text: frozenset[str]  # columns of text
+
+
+def fleet_table(entries: Sequence[Entry], sweep: Sequence[str] = ()) -> FleetTable:
+    """Return the table of all logs; `sweep`: the settings that a sweep varies."""
+    reports = [e.report for e in entries if e.state == "done"]
+    figures = dict.fromkeys(key for r in reports for values in r["configurations"].values() for key in values)
+    sensors = dict.fromkeys(s for r in reports for found in r["sensors"].values() for s in found)
+    verdicts = [f"{s}_verdict" for s in dict.fromkeys(s for r in reports for s in r["verdicts"])]
+    columns = (
+        *FIRST_COLUMNS,
+        *sweep,
+        *(key for key in figures if key not in NOT_FIGURES),
+        *(f"{s}_{count}" for s in sensors for count in COUNTS),
+        *verdicts,
+        *LAST_COLUMNS,
+    )
+    return FleetTable(columns, [r for e in entries for r in _rows(e)], frozenset({*TEXT, *sweep, *verdicts}))
+
+
+def _rows(entry: Entry) -> Iterator[dict[str, Any]]:
+    lead = {"log": entry.name, "robot": entry.robot, "state": entry.state, "reason": entry.reason or None}
+    if entry.state != "done":
+        yield lead
+        return
+    report, lost = entry.report, entry.losses
+    for name, values in report["configurations"].items():
+        counts = {
+            f"{s}_{count}": value
+            for s, found in report["sensors"][name].items()
+            for count, value in zip(COUNTS, found, strict=True)
+        }
+        yield {
+            **lead,
+            "start": report["input"]["start"],
+            **dict(word.split("=", 1) for word in values["cell"].split(" ") if "=" in word),
+            **values,
+            **counts,
+            **{f"{s}_verdict": verdict for s, verdict in report["verdicts"].items()},
+            **{f"lost_{unit}": n for unit, n in lost.items()},
+        }
+
+
+def csv(table: FleetTable) -> str:
+    """Return the table as CSV in full precision; missing values are empty."""
+    return csv_text(table.columns, ([row.get(column) for column in table.columns] for row in table.rows))
+
+
+def parquet(table: FleetTable) -> bytes | None:
+    """Return the table as Parquet; None if pyarrow (a dependency of rerun-sdk) is not installed."""
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet as written
+    except ImportError:
+        return None
+
+    def column(name: str) -> Any:
+        found = pa.array([row.get(name) for row in table.rows], pa.string() if name in table.text else None)
+        return found.cast(pa.float64()) if pa.types.is_null(found.type) else found
+
+    sink = io.BytesIO()
+    written.write_table(pa.table({c: column(c) for c in table.columns}), sink, compression="zstd")
+    return sink.getvalue()
+
 
 RMSE_M = "position rmse, m"
 MAX_ROWS = 200  # of each table on the page; all rows are in summary.csv
@@ -38,7 +234,7 @@ LOG, ROBOT = (Column(key, key, kind="text") for key in ("log", "robot"))
 MAX_TINT_RATIO, MAX_TINT_PERCENT = 10.0, 30  # error / smallest error of the log at the strongest tint
 
 
-def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mapping[str, Colour]) -> str:
+def _page(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mapping[str, Colour]) -> str:
     """Return summary.html. `sensors`: the colour of every sensor known to locfuse."""
     figures = sections(summary, entries)
     traces = _traces(entries)

@@ -1,24 +1,23 @@
-"""The line map as an editable JSON file: every wall is stored with its two ends.
+"""Map files that locfuse writes and reads: walls as editable JSON, landmarks as a .csv.
 
-The robot saw the wall from the left of the direction `from` -> `to`. `covariance` is that of (offset [m],
-direction [rad]): the offset of the wall at its middle, along the normal, and its direction. Both are nearly
-uncorrelated.
+Every wall is stored with its two ends; the robot saw it from the left of the direction `from` -> `to`.
+`covariance` is that of (offset [m], direction [rad]): the offset of the wall at its middle, along the normal, and
+its direction. Both are nearly uncorrelated. The .csv has the header id, x and y [m, map frame].
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 import numpy as np
 
-from locfuse.formats.caps import MAX_MAP_FILE
-from locfuse.formats.inputs import read_small
-from locfuse.formats.visible import visible, writable
-from locfuse.fusion.data import Array, LocfuseError, MapLine
+from locfuse.formats.inputs import MAX_MAP_FILE, csv_table, read_small
+from locfuse.formats.text import visible, writable
+from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError, MapLine
 
 FORMAT, VERSION = "locfuse line map", 1
 Point = tuple[float, float]
@@ -41,7 +40,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     made_from: str = ""
 
 
-def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
+def encode_lines(lines: Sequence[MapLine], made_from: str = "") -> str:
     """Return the text of a map file: indented JSON, one wall per line."""
     walls = (msgspec.json.encode(_wall(line)).decode() for line in lines)
     head = {"format": FORMAT, "version": VERSION, "made_from": writable(made_from)}
@@ -50,12 +49,12 @@ def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
     return f'{start},\n "lines": [\n  {body}\n ]}}\n'
 
 
-def read(path: Path) -> list[MapLine]:
+def read_lines(path: Path) -> list[MapLine]:
     """Return the lines of a map file. Raises LocfuseError for another file or invalid values."""
-    return decode(read_small(path, MAX_MAP_FILE), str(path))
+    return decode_lines(read_small(path, MAX_MAP_FILE), str(path))
 
 
-def decode(text: bytes | str, name: str) -> list[MapLine]:
+def decode_lines(text: bytes | str, name: str) -> list[MapLine]:
     """Return the lines of a map file from its text; `name` is the name of the file in errors."""
     try:
         file = msgspec.json.decode(text, type=_File)
@@ -95,3 +94,32 @@ def _line(wall: Wall, where: str) -> MapLine:
     low, high = (-s * x + c * y for x, y in (wall.start, wall.end))
     G = np.linalg.inv(_jacobian_at_middle((low, high)))
     return MapLine(wall.id, rho, beta, (low, high), G @ P @ G.T, wall.hits)
+
+
+def read_landmarks(path: Path) -> dict[str, tuple[float, float]]:
+    """Return id -> x, y [m, map frame]. Raises LocfuseError with the line of an invalid value or repeated id."""
+    names, rows = csv_table(path, MAX_MAP_FILE)
+    missing = [name for name in ("id", "x", "y") if name not in names]
+    if missing:
+        raise LocfuseError(f"{path}: its first line names no column {missing[0]}; id, x and y are read")
+    found: dict[str, tuple[float, float]] = {}
+    lines: dict[str, int] = {}
+    for number, row in rows:
+        try:
+            key, x, y = (row[names.index(name)].strip() for name in ("id", "x", "y"))
+            ident, place = str(int(key)), (float(x), float(y))
+        except (ValueError, IndexError):
+            raise LocfuseError(f"{path}: line {number} is not id, x, y: {','.join(row)[:60]!r}") from None
+        if not all(abs(one) < MAX_MAGNITUDE for one in place):
+            raise LocfuseError(f"{path}: line {number}: a landmark stands somewhere: x and y must be finite")
+        if ident in found:
+            raise LocfuseError(f"{path}: id {ident} occurs twice (lines {lines[ident]} and {number})")
+        found[ident], lines[ident] = place, number
+    if not found:
+        raise LocfuseError(f"{path} holds no landmarks")
+    return found
+
+
+def encode_landmarks(points: Iterable[tuple[int, float, float]]) -> str:
+    """Return landmarks (id, x, y [m, map frame]) as the text of a map file."""
+    return "id,x,y\n" + "".join(f"{ident},{x!r},{y!r}\n" for ident, x, y in points)

@@ -1,4 +1,4 @@
-r"""Escaping of text from a log before it is written to a terminal, a .md or a .html.
+r"""Text for a reader: control characters are escaped, and unknown words get spelling suggestions.
 
 Control characters in the name of a topic or frame could set the title of a terminal, clear the screen, or
 overwrite a line. They are shown as \x1b or \u202e instead.
@@ -6,7 +6,9 @@ overwrite a line. They are shown as \x1b or \u202e instead.
 
 from __future__ import annotations
 
+import difflib
 import re
+from collections.abc import Iterable
 
 # C0 and C1 controls and DEL; text direction (U+061C, U+200E, U+200F, U+202A to U+202E, U+2066 to U+2069);
 # line ends U+2028 and U+2029; U+FEFF; half a surrogate pair, which UTF-8 cannot encode
@@ -42,3 +44,26 @@ def escaped(text: str) -> str:
 def _shown(found: re.Match[str]) -> str:
     code = ord(found[0])
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+
+
+MIN_SIMILARITY = 0.6  # of difflib's ratio: about one letter in three may differ
+MIN_PART, MAX_NAMED = 3, 4  # least letters of a word to search for in others; most words in a suggestion
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Return the most similar known word; None if no word is similar."""
+    by_lower = {one.lower(): one for one in known}
+    found = difflib.get_close_matches(word.lower(), by_lower, 1, MIN_SIMILARITY)
+    return by_lower[found[0]] if found else None
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return "did you mean X or Y?" with the known words that contain `word`; "" if none is similar.
+
+    If no known word contains `word`, X is the most similar one.
+    """
+    known = list(known)
+    holding = [one for one in known if len(word) >= MIN_PART and word.lower() in one.lower()][:MAX_NAMED]
+    like = nearest(word, known)
+    found = holding or ([like] if like else [])
+    return f"did you mean {' or '.join(filter(None, (', '.join(found[:-1]), found[-1])))}?" if found else ""

@@ -44,8 +44,8 @@ class Trial:
     _last: tuple[Fixes, Loaded | None] = ((), None)  # fixes of the last call, and the whole log under them
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _marks: dict[tuple[str, Fixes, str], Marks] = field(default_factory=dict)  # by TRIED, WHOLE or SMOOTHED
-    _runs: dict[tuple[Fixes, str], Estimates] = field(default_factory=dict)  # under the kept fixes
-    _last_whole: dict[str, tuple[Fixes, Estimates]] = field(default_factory=dict)  # on the whole drive, by name
+    # the last runs by kind and configuration, and the fixes that they were fused under
+    _runs: dict[tuple[str, str], tuple[Fixes, Estimates]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Limit trials on a long drive to its first MAX_INSTANTS update times."""
@@ -113,14 +113,13 @@ class Trial:
             alone = fuser(loaded.robot.preset)(drive, loaded.robot, c.sensors, c.name, flags)
             return Marks(prediction=mean_density(drive, alone, flags))
         moving = tuple(fix for fix in fixes if not keys((fix,)) <= SEEN_AFTERWARDS)
-        e = self._runs.get((moving, name)) if kind == TRIED else None
-        if kind == WHOLE and name in self._last_whole and self._last_whole[name][0] == moving:
-            e = self._last_whole[name][1]
-        e = e or self.fused(loaded, name, smooth=kind == SMOOTHED)
+        under, e = self._runs.get((kind, name), (None, None))
+        if e is None or under != moving:
+            e = self.fused(loaded, name, smooth=kind == SMOOTHED)
         if e is None or e.smoothed != (kind == SMOOTHED):
             return None
         if kind == WHOLE:
-            self._last_whole[name] = moving, replace(e, audits={})
+            self._runs[kind, name] = moving, replace(e, audits={})
         return marks_of(e, evaluate(e, drive, cast("Align", self.align)), drive)
 
     def know(self, kind: str, fixes: Fixes, name: str, marks: Marks) -> None:
@@ -134,7 +133,7 @@ class Trial:
         if compared.loaded.drive.truth is None:
             return
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
-            self._runs[fixes, e.name] = e
+            self._runs[TRIED, e.name] = fixes, e
             self.know(TRIED, fixes, e.name, marks_of(e, judged, compared.loaded.drive))
 
     def under(self, fixes: Fixes) -> Loaded | None:

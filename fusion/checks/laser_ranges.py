@@ -9,9 +9,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from locfuse.fusion.data import Array, LocfuseError, Measurements, Ragged, Stream
+from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, Ragged, Stream
 from locfuse.fusion.lines.points import understood
-from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
+from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_SWEEP_PERIODS, equal_scans, limits, returns, sweep_time
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.statistics import MAD_OF_NORMAL, jackknife
 from locfuse.fusion.streams import take
@@ -61,7 +61,26 @@ def driver(stream: Stream) -> list[Finding]:
     lengths = np.concatenate([cast("Ragged", p["ranges"]).lengths for p in parts])
     held = _unreturned(parts, 0.0)
     found = [Finding("lrf", "no return", f"ranges without a return: {held}")] if held else []
-    return [*found, *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
+    return [
+        *found,
+        *_angles(column, lengths),
+        *_sweep(column, lengths, stream),
+        *_in_turn(column),
+        *of_angles(stream),
+    ]
+
+
+def _sweep(column: dict[str, Array], lengths: Ints, stream: Stream) -> list[Finding]:
+    """Return a finding if by time_increment a scan lasts longer than the time between scans."""
+    i, period = int(np.argmax(column["time_increment"])), laser_of(LrfSettings()).at_rate(stream.t_ns).period
+    each, beams = column["time_increment"][i : i + 1].astype(np.float64), int(lengths[i])
+    lasts, used = float(each[0]) * (beams - 1), float(sweep_time(each, beams, period)[0])
+    if not lasts > MAX_SWEEP_PERIODS * period:
+        return []
+    words = (
+        f"by time_increment a scan lasts {lasts:.3g} s, but one comes every {period:.3g} s: read as {used:.3g} s"
+    )
+    return [Finding("lrf", "sweep", words)]
 
 
 def of_angles(stream: Stream) -> list[Finding]:

@@ -30,6 +30,8 @@ from .extract import (
 
 # of a LaserScan
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
+LARGEST_INCREMENT_S = 1e9
+MAX_SWEEP_PERIODS = 1.2  # periods of the scans that a sweep can last, with uneven stamps
 CELLS_AT_ONCE = 1 << 18  # pairs of lines compared at once, to save memory
 # m: limits of a valid range, without 0 and Inf
 LEAST_RANGE_M, LARGEST_RANGE_M = np.nextafter(0.0, 1.0), np.finfo(np.float64).max
@@ -103,7 +105,13 @@ class Laser(NamedTuple):
     deskew: bool
     lines: LineSettings
     backward: bool = False  # whether the last beam of a scan is measured first, for any sign of time_increment
+    period: float = math.inf  # s, of the scans: no sweep is longer
     blocked: Mask | None = None  # (b,) beams that see the robot itself
+
+    def at_rate(self, t_ns: Ints) -> Laser:
+        """Return the laser with the period of scans at times t_ns (n,)."""
+        steps = np.diff(t_ns)
+        return self._replace(period=1e-9 * float(np.median(steps[steps > 0]))) if (steps > 0).any() else self
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
@@ -174,7 +182,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
     if offsets is not None:
         scan = np.repeat(np.arange(len(t)), np.diff(lines.first))
         by_base = in_base(lines.sweep, lines.z, laser.mount)
-        sweep = noise_of(by_base, scan, t, sweep_time(increment, ranges.shape[1]), wheels)
+        sweep = noise_of(by_base, scan, t, sweep_time(increment, ranges.shape[1], laser.period), wheels)
     return replace(lines, z=z, R_unit=R_unit, ends=ends, sweep=sweep), t
 
 
@@ -250,7 +258,7 @@ def deskew(
     """
     if not laser.deskew or beams < 2 or not np.any(increment > 0.0):
         return stamps, None
-    duration = sweep_time(increment, beams)
+    duration = sweep_time(increment, beams, laser.period)
     middle = stamps + 0.5 * duration
     at = stamps[:, None] + duration[:, None] * np.linspace(0.0, 1.0, KNOTS_PER_SCAN)
     base = wheels.relative(np.repeat(middle, KNOTS_PER_SCAN), at.ravel())
@@ -262,9 +270,17 @@ def deskew(
     return middle, (1.0 - f) * poses[:, low] + f * poses[:, low + 1]
 
 
-def sweep_time(increment: Array, beams: int) -> Array:
-    """Return the time from the first to the last beam, (n,) s, at most 1 s; 0 if the increment is NaN."""
-    return np.fmin(np.fmax(increment, 0.0), 1.0 / beams) * (beams - 1)
+def sweep_time(increment: Array, beams: int, period: float) -> Array:
+    """Return the time from the first to the last beam, (n,) s, at most 1 s; 0 if the increment is NaN.
+
+    `period` [s] is that of the scans. A longer sweep is impossible: the increment is in another unit (ms, us), so
+    a power of 10 is divided out, or it is the time of the whole scan.
+    """
+    each = np.fmin(np.fmax(increment, 0.0), LARGEST_INCREMENT_S)
+    times = np.maximum(each * beams / (MAX_SWEEP_PERIODS * period), 1.0)
+    whole = (each > 0.5 * period) & (each < MAX_SWEEP_PERIODS * period) & (times > 1.0)
+    right = each / np.where(whole, beams, 10.0 ** np.ceil(np.log10(times)))
+    return np.fmin(right, 1.0 / beams) * (beams - 1)
 
 
 class Gathered:

@@ -94,7 +94,7 @@ class Lrf(Sensor):
         """Extract the lines of every scan, in the base frame at the middle of the scan (deskewed)."""
         stamps = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         read = partial(self._lines, stream, stamps, wheels)
-        (t, found, same), laser, unseen = left_out(laser_of(settings), read)
+        (t, found, same), laser, unseen = left_out(laser_of(settings).at_rate(stream.t_ns), read)
         first, z, R_unit, ends, sweep = found.in_order(len(t))
         gone = frozen(same, t, wheels)
         if gone.any():

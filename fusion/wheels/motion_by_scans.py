@@ -327,7 +327,8 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> ThinnedScan
 
     A range that stands for "no return" is found and left out, unless `laser` has a configured longest range.
     """
-    return left_out(laser, lambda understood, longest: _read(stream, understood, wheels, longest))[0]
+    timed = laser.at_rate(stream.t_ns)
+    return left_out(timed, lambda understood, longest: _read(stream, understood, wheels, longest))[0]
 
 
 def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> ThinnedScans:

@@ -79,6 +79,7 @@ def pairs(sigma: float = 0.004, **late: float) -> dict[tuple[str, str], Lag]:
         ({"compass": 0.2, "lrf": 0.2, "truth": 0.0, "wheels": 0.0}, {"compass": -0.2, "lrf": -0.2}),
         ({"truth": 0.4, "gyro": -0.18, "wheels": 0.0}, {"truth": -0.4, "gyro": 0.18}),
         ({"compass": 0.05, "wheels": 0.0}, {"compass": -0.05}),
+        ({"compass": 0.0, "wheels": 0.05}, {"wheels": -0.05}),  # of two clocks, the late one
         ({"compass": 0.0, "lrf": 0.0, "wheels": 0.0}, {}),
         ({"compass": 0.008, "lrf": 0.0, "wheels": 0.0}, {}),  # two sigma are chance
     ],

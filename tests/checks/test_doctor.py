@@ -374,6 +374,12 @@ TRUTHS: dict[str, tuple[Change, str, Value, dict[str, Any]]] = {  # change, code
         {"truth.sigma": 0.008, "truth.sigma_theta_deg": 0.5},
         {"rel": 0.2},
     ),
+    "noise of half a millimetre": (
+        lambda d: noisy(d, 0.0005, 0.4),
+        "noise",
+        {"truth.sigma": 0.0005, "truth.sigma_theta_deg": 0.4},
+        {"rel": 0.15},
+    ),
     "noise like jumps": (lambda d: noisy(d, 0.25, 0.0), "noise", {"truth.sigma": 0.25}, {"rel": 0.15}),
     "noise is no jump": (lambda d: noisy(d, 0.25, 0.0), JUMP, {}, {}),
     "a reading that jumps and returns": (lambda d: aside(d, 200), STEP, {}, {}),

@@ -555,6 +555,13 @@ MILLIMETRES = field(SCAN, **dict.fromkeys(("ranges", "range_min", "range_max"), 
 
 LASER_TRAPS = (
     Trap("a laser without time_increment", field(SCAN, time_increment=0.0), "time_increment is 0", False, "lrf"),
+    Trap(
+        "a time_increment in the wrong unit",
+        field(SCAN, time_increment=lambda dt: 1000.0 * dt),
+        "by time_increment a scan lasts",
+        False,
+        "lrf",
+    ),
     Trap("no return as NaN", no_returns(math.nan), "without a return: 17% NaN", False, "lrf"),
     Trap("no return as 0", no_returns(0.0), "without a return: 17% zero", False, "lrf"),
     Trap("no return beyond range_max", no_returns(9.0), "without a return: 17% beyond range_max", False, "lrf"),

@@ -455,4 +455,10 @@ def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:
 
 def test_a_sweep_takes_at_most_a_second_and_no_time_where_its_increment_is_no_number() -> None:
     told = np.array([0.001, -1.0, 0.0, np.nan, np.inf, 5.0])
-    np.testing.assert_allclose(sweep_time(told, 101), [0.1, 0.0, 0.0, 0.0, 100.0 / 101.0, 100.0 / 101.0])
+    np.testing.assert_allclose(sweep_time(told, 101, math.inf), [0.1, 0.0, 0.0, 0.0, 100.0 / 101.0, 100.0 / 101.0])
+
+
+@pytest.mark.parametrize(("told", "sweep"), [(1e-3, 0.1), (1.0, 0.1), (1e3, 0.1), (0.02, 0.2), (0.2, 0.2)])
+def test_an_increment_in_ms_or_us_and_the_time_of_a_whole_scan_are_understood(told: float, sweep: float) -> None:
+    """Of scans with 100 beams that come every 0.2 s."""
+    np.testing.assert_allclose(sweep_time(np.array([told]), 100, 0.2), 0.99 * sweep)

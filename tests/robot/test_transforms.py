@@ -10,6 +10,7 @@ from bags import T0, Said, cdr, real_log, write
 from present import present
 from scipy.spatial.transform import Rotation
 
+from locfuse.cli.analysis.mounts import refuse_far
 from locfuse.formats.inputs import MAX_TEXT
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.robot.transforms import (
@@ -272,3 +273,10 @@ def test_a_robot_that_hangs_on_itself_is_walked_once() -> None:
 def test_wheels_are_known_by_their_side(left: str, right: str) -> None:
     found = present(wheel_geometry(robot().replace("left_wheel", left).replace("right_wheel", right)))
     assert (found.left, found.right) == (left, right)
+
+
+def test_a_mount_in_mm_is_refused_with_its_metres_unless_its_place_is_set() -> None:
+    mounts = {"lrf": {"x": -30.0, "y": 0.0, "yaw_deg": 90.0}, "compass": {"x": 0.2}}
+    with pytest.raises(LocfuseError, match=r"x = -30 m and y = 0 m .* in mm.*--set lrf.x=-0.03 --set lrf.y=0"):
+        refuse_far(mounts, {})
+    refuse_far(mounts, {"lrf": {"x": -0.03}})

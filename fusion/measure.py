@@ -25,7 +25,7 @@ from . import se2
 from .data import END_OF_TIME, Array, Drive, LocfuseError, Measurements, Stream, Truth
 from .robot import Robot, StartSettings
 from .sensor import FoundStart
-from .streams import count_dropped, gap_limit, outside
+from .streams import count_dropped, gap_limit, outside, recorded_apart
 from .truth import body_poses, heading_notes, read_truth
 
 MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # jittered drives: largest shift of a time [s], share of readings left out
@@ -70,7 +70,8 @@ def measure(
                 found = again or sensor.measure(streams[name], robot.settings(name), wheels, epoch_ns)
                 t = found.t[np.isfinite(found.t)]
                 if len(t) and not ((t >= wheels.t[0]) & (t <= wheels.t[-1])).any():
-                    raise outside(t, wheels.t, name, float(robot.settings(name).time_offset))
+                    recorded = recorded_apart(streams[name], streams["wheels"])
+                    raise outside(t, wheels.t, name, float(robot.settings(name).time_offset), recorded)
             except LocfuseError as e:
                 # the other sensors can still be compared
                 missing[name] = e.sentence if e.role == name else str(e)

@@ -86,20 +86,29 @@ def gap_limit(t: Array) -> float:
     return max(MIN_GAP_S, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else MIN_GAP_S
 
 
-def outside(t: Array, of_drive: Array, role: str, offset: float) -> LocfuseError:
+def outside(t: Array, of_drive: Array, role: str, offset: float, recorded: float | None = None) -> LocfuseError:
     """Return the error that all times t (n,) [s] of a role are outside the drive, with the offset to try.
 
-    `offset` [s] is the present time_offset.
+    `offset` [s] is the present time_offset, `recorded` [s] the one by recording times (`recorded_apart`).
     """
     begin, end = float(of_drive[0]), float(of_drive[-1])
     off = begin - float(t.min())
-    where = f"they begin {abs(off):.1f} s {'before' if off > 0.0 else 'after'} it"
-    words = (
-        f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive: {where}. It is another "
-        "drive or, if both began together, another clock:"
-    )
+    side = "before" if off > 0.0 else "after"
+    words = f"none of its {len(t)} readings lies within the {end - begin:.1f} s of the drive: "
+    words += f"they begin {abs(off):.1f} s {side} it"
+    more = 0.0 if recorded is None else recorded - offset
+    if recorded is not None and t.min() + more <= end and t.max() + more >= begin:
+        off, words = more, f"{words}, but were recorded with it: another clock."
+    else:
+        words += ". It is another drive or, if both began together, another clock:"
     fix = f"{role}.time_offset={offset + off:z.3f}"
     return LocfuseError(words, role=role, fixes=(fix,), hint=f"--set {fix}")
+
+
+def recorded_apart(stream: Any, of_drive: Any) -> float | None:
+    """Return the offset [s] of a stream's stamps from the drive's by recording times; None if unknown."""
+    delays = [getattr(parts_of(one)[0], "delay_s", None) for one in (stream, of_drive)]
+    return None if delays[0] is None or delays[1] is None else float(delays[0] - delays[1])
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:

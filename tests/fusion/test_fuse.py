@@ -25,6 +25,7 @@ from locfuse.fusion.fuse import Filter, due_readings, fuse, inflate, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
+from locfuse.fusion.streams import outside
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 FROZEN: dict[str, dict[str, Any]] = {"lrf": {"map": "first-scan"}, "compass": {"offset_deg": math.degrees(0.7)}}
@@ -154,6 +155,14 @@ def test_readings_outside_the_wheels_are_counted_and_not_used() -> None:
     assert outside > 0
     assert drive.dropped["compass"]["outside_wheels"] == outside
     assert drive.t[-1] == pytest.approx(world.seconds)
+
+
+@pytest.mark.parametrize(("recorded", "fix"), [(None, "lrf.time_offset=7.250"), (7.002, "lrf.time_offset=7.002")])
+def test_of_another_clock_the_times_of_recording_tell_the_offset(recorded: float | None, fix: str) -> None:
+    """Readings that begin 7.25 s before a drive of 5 s; 7.002 s by their recording, since they began earlier."""
+    error = outside(np.array([-7.25, -3.0]), np.array([0.0, 5.0]), "lrf", 0.0, recorded)
+    assert error.fixes == (fix,)
+    assert ("recorded with it" in str(error)) == (recorded is not None)
 
 
 # --- outliers kept with a larger R instead of being refused

@@ -266,13 +266,15 @@ def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
 
 
-def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S) -> list[tuple[Clock, ...]]:
+def wrong_clocks(
+    pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S, early: float = EARLY_COST
+) -> list[tuple[Clock, ...]]:
     """Return the smallest set of wrong clocks that explains the lags, then equally good sets; [] for none.
 
-    Each wrong clock adds `sigmas`^2 to chi-square; of two equally good clocks, the late one is first. With three
-    clocks, the one that the two others contradict is wrong; with two clocks, either may be wrong. Lags relative to
-    the wheels share the error by slip, so several of them are as uncertain as one. Offsets below `least` [s] are
-    left out.
+    Each wrong clock adds `sigmas`^2 to chi-square, and a single early one `early`, so that of two clocks the late
+    one is first. With three clocks, the one that the two others contradict is wrong; with two clocks, either may
+    be wrong. Lags relative to the wheels share the error by slip, so several of them are as uncertain as one.
+    Offsets below `least` [s] are left out.
     """
     names = sorted({name for pair in pairs for name in pair})
     number = {name: sum(name in pair for pair in pairs) for name in names}
@@ -283,7 +285,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
         for off in combinations(names, count):
             chi, clocks = explained(pairs, sizes, off)
             cost = chi + sigmas**2 * count + sum(PREFERENCE_COST.get(name, 0.0) for name in off)
-            cost += EARLY_COST if len(clocks) == 1 and clocks[0].offset > 0.0 else 0.0
+            cost += early if len(clocks) == 1 and clocks[0].offset > 0.0 else 0.0
             found.append((cost, clocks))
     found.sort(key=lambda one: one[0])
     best = [clocks for cost, clocks in found if cost < found[0][0] + NEAR_CHI2]

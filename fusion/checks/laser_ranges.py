@@ -30,6 +30,7 @@ MAX_SIGMA_RATIO = 1.2  # largest ratio of the sigmas by these quantiles
 OFFSET = "range offset"  # code of the finding
 MAX_LIMIT_RATIO = 10.0  # of a range and range_max: walls in mm are 1000 times as far as in m, at 1 % of range_max
 MAX_WALL_M = 100.0  # m: median distance of walls that no robot with a 2D laser has; 10 cm in mm
+MIN_BEYOND_SHARE = 0.3  # of all ranges beyond range_max, that are no returns of a wrong limit
 FIRST_SCANS = 3000  # first scans, of which SAMPLE_SCANS are taken evenly
 HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
 BENT_MPS = 0.1  # m of offset per s of a sweep, 1 sigma: walls look bent if the robot turns more often to one side
@@ -68,6 +69,28 @@ def driver(stream: Stream) -> list[Finding]:
         *_in_turn(column),
         *of_angles(stream),
     ]
+
+
+def of_limit(stream: Stream, settings: LrfSettings) -> list[Finding]:
+    """Return a finding if many ranges beyond the scans' range_max differ, as those of walls do."""
+    parts = list(_sample(stream, SAMPLE_SCANS))
+    if settings.range_max is not None or not parts:
+        return []
+    values, far = (np.concatenate(some) for some in zip(*map(_beside_limit, parts), strict=True))
+    beyond = np.isfinite(values) & (values > far) & (values / MAX_LIMIT_RATIO < far)
+    if beyond.sum() < MIN_BEYOND_SHARE * len(values) or len(np.unique(values[beyond])) < 0.1 * beyond.sum():
+        return []
+    words = (
+        f"{beyond.mean():.0%} of its ranges are beyond its range_max, {np.median(far):g} m, and differ as walls do"
+    )
+    return [Finding("lrf", "range limit", words, (f"lrf.range_max={math.ceil(values[beyond].max())}",), True)]
+
+
+def _beside_limit(scans: dict[str, Any]) -> tuple[Array, Array]:
+    """Return all ranges of some scans [m], and the largest valid range of each."""
+    ranges = cast("Ragged", scans["ranges"])
+    values = ranges.values[ranges.first[0] : ranges.first[-1]].astype(np.float64)
+    return values, np.repeat(limits(scans)[1], ranges.lengths)
 
 
 def _sweep(column: dict[str, Array], lengths: Ints, stream: Stream) -> list[Finding]:
@@ -271,11 +294,11 @@ def unreturned(stream: Stream, least: float) -> str:
 
 
 def _unreturned(parts: list[dict[str, Any]], least: float) -> str:
-    ranges = [cast("Ragged", p["ranges"]) for p in parts]
-    if not sum(int(r.lengths.sum()) for r in ranges):
+    if not parts:
         return ""
-    values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
-    far = np.concatenate([np.repeat(limits(p)[1], r.lengths) for p, r in zip(parts, ranges, strict=True)])
+    values, far = (np.concatenate(some) for some in zip(*map(_beside_limit, parts), strict=True))
+    if not len(values):
+        return ""
     beyond = (values > far) & np.isfinite(values)
     beside = {"inf": np.isinf(values), "NaN": np.isnan(values), "zero": values == 0.0, "beyond range_max": beyond}
     shares = {name: found.mean() for name, found in beside.items()}

@@ -264,7 +264,7 @@ def clocks_of(logs: Mapping[str, LogEstimates]) -> list[list[Common]]:
     """
     lags = {pair_of(c.key): Lag(c.value, 1.0, 1.0, c.sigma) for c in lags_of(logs) if c.value is not None}
     found = []
-    for off in ([clock.name for clock in clocks] for clocks in wrong_clocks(lags, SAID_SIGMAS)):
+    for off in ([clock.name for clock in clocks] for clocks in wrong_clocks(lags, SAID_SIGMAS, early=0.0)):
         each: dict[str, dict[str, Number]] = {}
         for log, one in logs.items():
             own = {p: n for key, n in one.lags.items() if (p := pair_of(key)) in lags}

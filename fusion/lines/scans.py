@@ -101,7 +101,7 @@ class Laser(NamedTuple):
     flipped: bool  # mounted upside-down: beams run clockwise seen from above
     scale: float  # true range = scale * reading + offset
     offset: float  # m
-    range_max: float | None  # m, larger ranges are not used
+    range_max: float | None  # m, larger ranges are not used; None: by the scans
     deskew: bool
     lines: LineSettings
     backward: bool = False  # whether the last beam of a scan is measured first, for any sign of time_increment
@@ -238,7 +238,7 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
         angles = -angles
     ranges = scans["ranges"][:, taken].astype(np.float64)  # a copy
     near, far = limits(scans)
-    far = np.minimum(far, laser.range_max or np.inf)
+    far = far if laser.range_max is None else np.full_like(far, laser.range_max)
     invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # also true for NaN
     if laser.blocked is not None and len(laser.blocked) == ranges.shape[1]:
         invalid |= laser.blocked[taken]

@@ -50,7 +50,7 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
     sigma_angle_deg: float = 0.25  # degrees, of a beam
     range_scale: float = 1.0  # true range = scale * reading + offset
     range_offset: float = 0.0  # m
-    range_max: float | None = None  # m, readings beyond are not used
+    range_max: float | None = None  # m, readings beyond are not used; not set: that of the scans
     deskew: bool = True  # by time_increment and the wheels
     sweep: Literal["forward", "backward"] = "forward"  # backward: the last beam of a scan is taken first
     min_points: int = 6  # beams of a line

@@ -572,6 +572,9 @@ LASER_TRAPS = (
         False,
         "lrf",
     ),
+    Trap(
+        "a range_max that is too small", field(SCAN, range_max=1.0), "differ as walls do", True, "lrf", blur=0.02
+    ),
     Trap("a range_max that is not filled in", field(SCAN, range_max=0.0), "not filled in", False, "lrf"),
     Trap(
         "an angle_max that contradicts the increment",

@@ -527,7 +527,7 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
         by_prediction = all(one.position is None for one, _ in pairs.values())
         by_chance = candidate.minor if candidate.proven else ()
         worse = any((worsens_alone if n in by_chance else worsens)(*pair) for n, pair in pairs.items())
-        sure = (candidate.proven or by_prediction) and not worse
+        sure = (candidate.proven or by_prediction) and not worse and not _idle(pairs)
         shown = candidate.measured and bool(pairs) and (shape or sure)
         if shown or any(improves(*pair) for pair in pairs.values()):
             guards = scored(kept, together(kept, fixes), candidate.guards, trial)
@@ -536,6 +536,16 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             advice = replace(unfixed, fixes=fixes, pairs=pairs)
             options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
     return max(options, key=worth, default=replace(unfixed, harmless=harmless))
+
+
+def _idle(pairs: Pairs) -> bool:
+    """Return whether a fix moves no pose and hardly lowers an ANEES, such as a small noise of the truth."""
+    return all(
+        one.position is not None
+        and one.position == other.position
+        and math.log(max(one.anees or 1.0, 1e-9) / max(other.anees or 1.0, 1e-9)) < MIN_LN_ANEES_GAIN
+        for one, other in pairs.values()
+    )
 
 
 def judged_pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool = False) -> Pairs:

@@ -33,6 +33,7 @@ MAX_LEVEL_SHARE, MIN_EXTENT_M, MAX_SEEN_SHARE = 0.1, 0.5, 0.8
 MAX_STILL_M = 1e-4  # m, extent of a truth that does not move
 # standard errors; largest difference of wheels and laser, as share of the truth's scale error
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
+MIN_TRUTH_ERROR = 0.015  # least relative error of the truth's distances: lasers and wheels are right to about 1 %
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
@@ -327,7 +328,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     if factor == 0.0:
         return []  # a truth that stays in one place has no scale
     off, apart = abs(math.log(factor)), abs(math.log(motion.scale))
-    if off < max(MIN_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma / factor) or apart > MAX_APART_SHARE * off:
+    if off < max(MIN_TRUTH_ERROR, MAX_SIZE_SIGMAS * sigma / factor) or apart > MAX_APART_SHARE * off:
         return []
     if apart + MAX_SIZE_SIGMAS * motion.scale_sigma / motion.scale > off:
         return []  # the laser may agree with the truth instead

@@ -467,7 +467,8 @@ def test_an_odometry_s_wrong_radius_or_track_is_the_wheels_and_not_the_laser_s(f
 
 
 @pytest.mark.parametrize(
-    ("truth", "wheels", "named"), [(1.045, 1.0, True), (1.0, 1.1, False), (1.1, 1.1, False), (1.02, 1.0, False)]
+    ("truth", "wheels", "named"),
+    [(1.045, 1.0, True), (1.02, 1.0, True), (1.0, 1.02, False), (1.1, 1.1, False), (1.01, 1.0, False)],
 )
 def test_a_truth_whose_size_wheels_and_laser_both_deny_is_wrong(truth: float, wheels: float, named: bool) -> None:
     """Where only the wheels are wrong, the laser denies them; where both are right, a small error is no reason."""

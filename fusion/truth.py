@@ -77,6 +77,8 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
         hint = f"(to judge without it: --set {NO_TRUTH})"
         raise LocfuseError(words, role="truth", fixes=(NO_TRUTH,), hint=hint)
     headings = _has_headings(values[rows])
+    if w_first := headings and se2.is_about_x(values[rows, 2:]):
+        values[:, 2:] = np.roll(values[:, 2:], -1, axis=1)
     theta = se2.yaw(*values[rows, 2:].T) - math.radians(settings.yaw_deg) if headings else None
     return (
         Truth(
@@ -88,6 +90,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
             sigma=settings.sigma,
             sigma_theta=math.radians(settings.sigma_theta_deg),
             time_offset=settings.time_offset,
+            w_first=w_first,
         ),
         dropped,
     )
@@ -172,7 +175,9 @@ def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str])
 
 
 def heading_notes(truth: Truth, msgtype: str) -> tuple[str, ...]:
-    """Return a note on headings that messages of this type have, and that were not recorded."""
+    """Return a note on headings that messages of this type have, and that were not recorded, or with w first."""
+    if truth.w_first:
+        return ("its quaternions turn about the x axis: read as w, x, y, z. Let its driver write x, y, z, w",)
     if truth.theta is not None or msgtype in POINTS:
         return ()
     return ("its heading never changes: only its positions are used",)

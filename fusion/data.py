@@ -254,6 +254,7 @@ class Truth(msgspec.Struct, frozen=True):
     sigma: float = 0.0  # m, the truth's own standard deviation per axis
     sigma_theta: float = 0.0  # rad, standard deviation of the truth's heading
     time_offset: float = 0.0  # s, included in t
+    w_first: bool = False  # whether the quaternions were recorded as w, x, y, z, and are read so
 
     def spans(self, t: Array) -> Mask:
         """Return the mask (n,) of the times t (n,) [s] between the first and the last pose."""

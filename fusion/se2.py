@@ -17,6 +17,7 @@ Plain = tuple[float, float, float]  # one pose
 Sight = tuple[float, float, Plain, Plain]
 
 TAU = 2.0 * math.pi
+MAX_OTHER_AXES, MIN_TURNED = 1e-3, 0.1  # y^2 + z^2 over x^2 of quaternions about the x axis; range of their w
 
 
 def wrap(angle: float) -> float:
@@ -168,6 +169,16 @@ def rotated(theta: Array, v: Array) -> Array:
 def yaw(x: Array, y: Array, z: Array, w: Array) -> Array:
     """Return the yaws (...) [rad] of quaternions x, y, z, w (...) of any length."""
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
+
+
+def is_about_x(q: Array) -> bool:
+    """Return whether quaternions q (n, 4), some of which may be NaN, turn about the x axis: w seems to come first.
+
+    Robots turn about z, so x and y of their quaternions are small.
+    """
+    finite = q[np.isfinite(q).all(axis=1)]
+    x, *others = np.square(finite[:, :3]).sum(axis=0).tolist()
+    return bool(sum(others) < MAX_OTHER_AXES * x and np.ptp(finite[:, 3]) > MIN_TURNED)
 
 
 def rotation_3d(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:

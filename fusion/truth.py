@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from shlex import quote
 from typing import cast
 
@@ -13,7 +14,7 @@ from locfuse.fusion.wheels.odometry import POSE, pose_fields
 from locfuse.fusion.wheels.repairs import limits, spikes
 
 from . import se2
-from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
+from .data import Array, Column, LocfuseError, Mask, Ragged, Stream, Truth, plausible
 from .geodesy import on_map
 from .robot import TruthSettings
 from .streams import blank, count_dropped, seconds
@@ -38,6 +39,7 @@ POINTS: Mapping[str, tuple[str, ...]] = {
 TRUTH_READS: Mapping[str, tuple[str, ...]] = {**POSE, **SEVERAL, **POINTS}
 MIN_MOVED_M = 0.1  # m: a body that moves less cannot be the robot
 MAX_BEND_SHARE = 0.05  # largest standard deviation across a path without bends, as share of that along it
+FAR_JUMP_FACTOR, MAX_AWAY_SHARE = 3.0, 0.5  # jump / largest plausible step; share of the truth by another body
 TRUTH_NAMES = (  # must not match /odom or /amcl_pose
     *("ground_truth", "groundtruth", "gt", "mocap"),
     *("vicon", "optitrack", "vrpn", "qualisys", "natnet", "leica"),
@@ -67,7 +69,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     if settings.max_speed is not None and len(rows) > 2:
         t = seconds(stream.t_ns[rows], stream.t_ns[rows[0]])
         xy = values[rows, :2]
-        away = spikes(t, xy, limits(t, np.hypot(*np.diff(xy, axis=0).T), settings.max_speed))
+        away = elsewhere(t, xy, limits(t, np.hypot(*np.diff(xy, axis=0).T), settings.max_speed))
         count_dropped(dropped, jump=away)
         rows = rows[~away]
     if len(rows) == 0:
@@ -75,6 +77,8 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
         hint = f"(to judge without it: --set {NO_TRUTH})"
         raise LocfuseError(words, role="truth", fixes=(NO_TRUTH,), hint=hint)
     headings = _has_headings(values[rows])
+    if w_first := headings and se2.is_about_x(values[rows, 2:]):
+        values[:, 2:] = np.roll(values[:, 2:], -1, axis=1)
     theta = se2.yaw(*values[rows, 2:].T) - math.radians(settings.yaw_deg) if headings else None
     return (
         Truth(
@@ -86,9 +90,27 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
             sigma=settings.sigma,
             sigma_theta=math.radians(settings.sigma_theta_deg),
             time_offset=settings.time_offset,
+            w_first=w_first,
         ),
         dropped,
     )
+
+
+def elsewhere(t: Array, xy: Array, limit: Array) -> Mask:
+    """Mark the readings (n,) between a jump away and the next jump, if this undoes it.
+
+    A tracker then follows another body, for as long as it hides the right one. A jump is a step between positions
+    `xy` (n, 2) [m] above `limit` (n-1,) [m]. Two far jumps undo each other if both are longer than the way from
+    the last reading before to the first one after. Short times are those of `spikes`.
+    """
+    out, size = spikes(t, xy, limit), np.hypot(*np.diff(xy, axis=0).T)
+    far = (size > FAR_JUMP_FACTOR * limit) & ~(out[1:] | out[:-1])
+    for away, back in pairwise(np.flatnonzero(far).tolist()):
+        both = float(np.hypot(*(xy[back + 1] - xy[away])))
+        short = t[back + 1] - t[away] < MAX_AWAY_SHARE * (t[-1] - t[0])
+        if short and not out[away] and both < min(size[away], size[back]):
+            out[away + 1 : back + 1] = True
+    return out
 
 
 def _has_headings(values: Array) -> bool:
@@ -153,7 +175,9 @@ def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str])
 
 
 def heading_notes(truth: Truth, msgtype: str) -> tuple[str, ...]:
-    """Return a note on headings that messages of this type have, and that were not recorded."""
+    """Return a note on headings that messages of this type have, and that were not recorded, or with w first."""
+    if truth.w_first:
+        return ("its quaternions turn about the x axis: read as w, x, y, z. Let its driver write x, y, z, w",)
     if truth.theta is not None or msgtype in POINTS:
         return ()
     return ("its heading never changes: only its positions are used",)

@@ -29,7 +29,7 @@ from locfuse.fusion.checks.clocks import (
     wrong_clocks,
 )
 from locfuse.fusion.checks.compass import ROOM, of_offset_by_truth
-from locfuse.fusion.checks.examine import HELD, scales
+from locfuse.fusion.checks.examine import CARRIED, HELD, scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
 from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
@@ -78,6 +78,7 @@ KEYLESS = {
     RANGE_SCALE,
     SATURATED,
     HELD,
+    CARRIED,
     ZERO,
 }  # findings that are named although no setting fixes them
 SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
@@ -106,7 +107,7 @@ class Evidence(NoiseFindings):
             or self._spins
             or scales(drive, robot, turnings(drive), least=SUSPICIOUS_SCALE)
             or self._walls_bend
-            or any(f.severe for f in self.doctor)
+            or any(f.severe or f.code == CARRIED for f in self.doctor)
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
@@ -287,7 +288,7 @@ class Evidence(NoiseFindings):
             ways.append(ESTIMATED)
         ways += self._with_camera_offset(finding)
         one = self._candidate(
-            finding, tuple(ways), not (finding.severe or measured or finding.code in {RATIO, HELD})
+            finding, tuple(ways), not (finding.severe or measured or finding.code in {RATIO, HELD, CARRIED})
         )
         if one.key == TRUTH_NOISE and self.overconfident:
             # it changes no pose, and the truth alone shows it: what then is underconfident was so before

@@ -180,6 +180,10 @@ def add_validity(
     elif doubts:
         report["credit"] = None  # its factors depend on the doubtful errors
         withdraw_verdicts(report, "Not judged while a warning is open.")
+    elif found:
+        known = (v["sensors"] for v in report["configurations"].values() if "void" not in v)
+        usable = {sensor for sensors in known for sensor in sensors}
+        withdraw_verdicts(report, "All its errors are void.", {*(report.get("verdicts") or ())} - usable)
 
 
 def _doubts(report: dict[str, Any], given: Sequence[Advice]) -> list[dict[str, Any]]:

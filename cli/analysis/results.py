@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -215,10 +215,11 @@ def void_figures(values: dict[str, Any], reason: str) -> None:
     values.update(dict.fromkeys(known))
 
 
-def withdraw_verdicts(report: dict[str, Any], words: str) -> None:
-    """Replace all verdicts by "no verdict", since their figures are void or doubtful."""
-    for verdict in (report.get("verdicts") or {}).values():
-        verdict.update(verdict="no verdict", words=words)
+def withdraw_verdicts(report: dict[str, Any], words: str, sensors: Collection[str] | None = None) -> None:
+    """Replace verdicts of `sensors` (None: all) by "no verdict", since their figures are void or doubtful."""
+    for sensor, verdict in (report.get("verdicts") or {}).items():
+        if sensors is None or sensor in sensors:
+            verdict.update(verdict="no verdict", words=words)
 
 
 def _void_all(report: dict[str, Any], faults: Sequence[Note]) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from locfuse.formats.geometry import quaternions, spatial_covariance
 from locfuse.formats.inputs import MAX_TEXT_FILE, csv_table, read_small
 from locfuse.formats.text import visible
+from locfuse.fusion import se2
 from locfuse.fusion.data import END_OF_TIME, Array, Column, Ints, LocfuseError
 
 from .clock import MadeStream, RowTimes
@@ -30,7 +31,6 @@ TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
 COVARIANCE_COLUMNS = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
 MIN_ALONG, MAX_ACROSS = 0.9, 0.5  # length of the mean unit step along headings in the right unit, in a wrong one
-MAX_OTHER_AXES, MIN_TURNED = 1e-3, 0.1  # y^2 + z^2 over x^2 of quaternions about the x axis; range of their w
 MAX_IDENT = 2**53  # smaller integers are exact as floats
 MIN_NS = 1e14  # larger times are nanoseconds, smaller ones seconds
 
@@ -169,9 +169,7 @@ def _poses(path: Path, times: Sequence[int], xy: Array, q: Array | None, P: Arra
     t_ns = np.array(times, np.int64)
     if q is None:
         return in_time_order(str(path), POINT, t_ns, {"point.x": xy[:, 0], "point.y": xy[:, 1]})
-    finite = q[np.isfinite(q).all(axis=1)]
-    x, *others = np.square(finite[:, :3]).sum(axis=0).tolist()
-    if sum(others) < MAX_OTHER_AXES * x and np.ptp(finite[:, 3]) > MIN_TURNED:
+    if se2.is_about_x(q):
         words = f"{path}: its quaternions turn about the x axis: qw seems to come first"
         raise LocfuseError(f"{words}. Write t x y z qx qy qz qw")
     data: dict[str, Column] = {"pose.pose.position.x": xy[:, 0], "pose.pose.position.y": xy[:, 1]}

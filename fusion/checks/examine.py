@@ -35,11 +35,13 @@ from .start import of_start
 from .steering import ZERO, of_steering
 from .truth import SIZE, UNIT, metre, of_axes, of_few, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
+    MAX_LAG_S,
     MIRROR,
     Turnings,
     and_truth,
     clock_offset,
     far_by_scans,
+    headings_of,
     of_ratio,
     of_track,
     of_turning,
@@ -65,6 +67,9 @@ HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
 MIXED = frozenset({EQUAL, PUBLISHERS, STUCK, UNIT, UNSIGNED})  # codes of findings that make all other checks wrong
 HELD = "held"  # code of the finding on counters that stood still while the robot drove far, and then caught up
+CARRIED = "carried"  # code of the finding on a robot that moves while its wheels stand
+# while the wheels stand, least motion of the truth: m, sigmas of its noise; least turn of the laser: rad
+MIN_CARRIED_M, MIN_CARRIED_SIGMAS, MIN_CARRIED_RAD = 0.3, 6.0, math.radians(15.0)
 BLIND = "blind"  # code of the finding on a sensor without measurements
 CHECK_SENSOR = "Check the sensor and its driver, then record again"
 
@@ -114,6 +119,7 @@ def examine(
         from .pictures import of_calibration, of_handedness  # imported here since it needs OpenCV
 
         found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
+    found += of_carried(drive)
     sizes = scales(drive, robot, by_sensor, turning, least)
     if least is None:  # callers that try fixes compare clocks themselves
         clocks = of_clocks(drive, robot)
@@ -276,6 +282,41 @@ def longest_part(drive: Drive, found: Sequence[tuple[float, float]]) -> tuple[fl
     spans = [(b - a) * (1.0 if i else 2.0) for i, (a, b) in enumerate(zip(ends[::2], ends[1::2], strict=True))]
     i = int(np.argmax(spans))
     return None if i == 0 else ends[2 * i], None if i == len(found) else ends[2 * i + 1]
+
+
+def of_carried(drive: Drive) -> list[Finding]:
+    """Return a finding on times in which the wheels stand still, but the truth moves or the laser turns.
+
+    MAX_LAG_S at the begin and the end of these times is not used: there a late truth or laser moves on.
+    """
+    if drive.wheels.matched is not None:
+        return []
+    wheels, truth, laser, found = drive.wheels, drive.truth, headings_of(drive).get("lrf"), []
+    limits = np.outer(np.diff(wheels.t), (MAX_SPEED_MPS, MAX_SPEED_MPS, MAX_RATE_RADPS))
+    for first, last in stretches((np.abs(wheels.twist) <= limits).all(axis=1)):
+        begin, end = float(wheels.t[first]), float(wheels.t[last + 1])
+        inner, shown = (begin + MAX_LAG_S, end - MAX_LAG_S), []
+        if inner[0] >= inner[1]:
+            continue
+        if truth is not None and np.diff(rows := np.searchsorted(truth.t, inner))[0] > MIN_READINGS:
+            xy = truth.xy[slice(*rows)]
+            noise = math.sqrt(0.5 * float((np.diff(xy, axis=0) ** 2).sum(axis=1).mean()))
+            moved = float(np.hypot(*(xy[-1] - xy[0])))
+            if moved > max(MIN_CARRIED_M, MIN_CARRIED_SIGMAS * max(noise, truth.sigma)):
+                shown.append(f"the truth moves {moved:.1f} m")
+        if laser is not None and np.diff(rows := np.searchsorted(laser.t, inner))[0] > MIN_READINGS:
+            turn = abs(float(laser.angle[rows[1] - 1] - laser.angle[rows[0]]))
+            shown += [f"the laser turns {math.degrees(turn):.0f}°"] if turn > MIN_CARRIED_RAD else []
+        if shown:
+            found.append((begin, end, " and ".join(shown)))
+    if not found:
+        return []
+    begin, end, shown_by = found[0]
+    when = f"from {begin:.1f} s to {end:.1f} s" + (f" (the first of {len(found)} times)" if found[1:] else "")
+    words = f"they stand still {when}, while {shown_by}: the robot was carried, or their driver stopped"
+    part = zip(("--from", "--to"), longest_part(drive, [(begin, end) for begin, end, _ in found]), strict=True)
+    words += f". To judge a part: locfuse compare LOG{''.join(f' {o} {t:.1f}' for o, t in part if t is not None)}"
+    return [Finding("wheels", CARRIED, words)]
 
 
 def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:

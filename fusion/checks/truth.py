@@ -12,10 +12,10 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, Mask, Truth, changes, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
-from locfuse.fusion.truth import NO_TRUTH
+from locfuse.fusion.truth import NO_TRUTH, elsewhere
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.repairs import gaps_of, spikes, times
+from locfuse.fusion.wheels.repairs import gaps_of, times
 
 from .finding import Finding, Least, of_error
 from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
@@ -33,6 +33,7 @@ MAX_LEVEL_SHARE, MIN_EXTENT_M, MAX_SEEN_SHARE = 0.1, 0.5, 0.8
 MAX_STILL_M = 1e-4  # m, extent of a truth that does not move
 # standard errors; largest difference of wheels and laser, as share of the truth's scale error
 MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
+MIN_TRUTH_ERROR = 0.015  # least relative error of the truth's distances: lasers and wheels are right to about 1 %
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
@@ -67,11 +68,14 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     noisy = _noise_like_jumps(truth, drive)
     if noisy:
         return noisy
-    found, jumps = jumps_of(drive), _steps(truth, drive)
-    few_stay = found is not None and not found.spikes and 0 < found.staying <= MAX_STEPS
+    recorded, found, jumps = truth.t, jumps_of(drive), _steps(truth, drive)
+    few_stay = found is not None and not found.away.any() and 0 < found.staying <= MAX_STEPS
     if found is not None and not (few_stay and jumps):  # of few jumps that stay, `_steps` gives the times
         speed = max(1.0, math.ceil(3.0 * _fastest(drive)))
         jumps = [Finding("truth", JUMP, found.words, (f"truth.max_speed={speed:g}",), True)]
+        if found.staying <= 0:  # the rest of the truth is right
+            theta = None if truth.theta is None else truth.theta[~found.away]
+            truth = replace(truth, t=truth.t[~found.away], xy=truth.xy[~found.away], theta=theta)
     swings = swing(truth, drive)
     yaw = of_yaw(swings, robot)
     if yaw and swings is not None and truth.theta is not None:
@@ -81,13 +85,14 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     point = of_point(truth, swings)
     if point and swings is not None:  # a wrong tracked point would look like a wrong start
         truth = replace(truth, point=(float(swings.x[0]), float(swings.x[1])))
-    # jumps would look like noise, and like a wrong start
     creep = of_creep(swings)
     aside = abs(swings.aside) if swings is not None and creep else 0.0
-    start = [] if jumps else of_start(truth, drive, robot, aside)
-    noise = [] if jumps else _noise(truth, drive)
-    dt = np.diff(truth.t)
-    long = dt > gap_limit(truth.t)
+    # jumps that stay would look like noise, and like a wrong start
+    stay = bool(jumps) and (found is None or found.staying > 0)
+    start = [] if stay else of_start(truth, drive, robot, aside)
+    noise = [] if stay else _noise(truth, drive)
+    dt = np.diff(recorded)
+    long = dt > gap_limit(recorded)
     words = f"{gaps_of(int(long.sum()), float(dt.max()))}: no errors are computed there"
     gaps = [Finding("truth", "gap", words)] if long.any() else []
     return [*yaw, *jumps, *gaps, *noise, *point, *start, *creep]
@@ -193,7 +198,7 @@ class Jumps(NamedTuple):
     """Jumps of the truth: steps much longer than the wheels rolled, as when a tracker loses the tracked body."""
 
     number: int
-    spikes: int  # readings that jump away and return
+    away: Mask  # readings between a jump away and the jump back
     staying: int  # jumps that do not return
     steps: int  # of the whole truth
 
@@ -206,7 +211,7 @@ class Jumps(NamedTuple):
     def words(self) -> str:
         """Text on the jumps."""
         words = f"it jumps {times(self.number)} by more than the wheels rolled"
-        words += f"; {self.spikes} readings can be left out" if self.spikes else ""
+        words += f"; {self.away.sum()} readings can be left out" if self.away.any() else ""
         if self.staying > 0:
             words += f"; {self.staying} jumps do not return, and errors across them mean nothing"
         return words
@@ -221,8 +226,8 @@ def jumps_of(drive: Drive) -> Jumps | None:
     number = int((np.hypot(*np.diff(truth.xy, axis=0).T) > limit).sum())
     if not number:
         return None
-    away = spikes(truth.t, truth.xy, limit)
-    return Jumps(number, int(away.sum()), number - 2 * len(stretches(away)), len(limit))
+    away = elsewhere(truth.t, truth.xy, limit)
+    return Jumps(number, away, number - 2 * len(stretches(away)), len(limit))
 
 
 def _noise_like_jumps(truth: Truth, drive: Drive) -> list[Finding]:
@@ -327,7 +332,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
     if factor == 0.0:
         return []  # a truth that stays in one place has no scale
     off, apart = abs(math.log(factor)), abs(math.log(motion.scale))
-    if off < max(MIN_SCALE_ERROR, MAX_SIZE_SIGMAS * sigma / factor) or apart > MAX_APART_SHARE * off:
+    if off < max(MIN_TRUTH_ERROR, MAX_SIZE_SIGMAS * sigma / factor) or apart > MAX_APART_SHARE * off:
         return []
     if apart + MAX_SIZE_SIGMAS * motion.scale_sigma / motion.scale > off:
         return []  # the laser may agree with the truth instead

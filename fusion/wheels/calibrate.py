@@ -279,18 +279,25 @@ def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
     """
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)
-    xy, resting, theta = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
+    found: dict[bool, list[Array]] = {False: [], True: []}  # rows of (x [m], y [m], theta [rad]), by "it moves"
     for first, last in stretches(still):
         rows = (truth.t >= middle[first]) & (truth.t <= middle[last])
         if middle[last] - middle[first] < MIN_STANDSTILL_S or rows.sum() < 3:
             continue
-        xy.append((truth.xy[rows] - truth.xy[rows].mean(axis=0)).ravel())
-        resting += [] if _moves(truth.xy[rows]) else xy[-1:]
+        xy, theta = truth.xy[rows], np.zeros(int(rows.sum()))
         if truth.theta is not None:
-            theta.append(se2.wrap_all(truth.theta[rows] - truth.theta[rows][0]))
-            theta[-1] -= theta[-1].mean()
-    whole, rest, turn = (float(np.concatenate(v).std()) if len(v) > 1 else 0.0 for v in (xy, resting, theta))
-    return Sigma(truth.sigma or (rest if whole > MAX_MOVING_FACTOR * rest else whole), turn)
+            theta = se2.wrap_all(truth.theta[rows] - truth.theta[rows][0])
+        own = np.column_stack((xy, theta))
+        found[_moves(xy)].append(own - own.mean(axis=0))
+    resting, whole = (_scatters([*found[False], *moving]) for moving in ([], found[True]))
+    place, turn = (r if w > MAX_MOVING_FACTOR * r else w for r, w in zip(resting, whole, strict=True))
+    return Sigma(truth.sigma or place, turn)
+
+
+def _scatters(own: Sequence[Array]) -> tuple[float, float]:
+    """Return the standard deviations [m, rad] of rows (n, 3) [m, m, rad] of several times; 0 without any."""
+    rows = np.concatenate(own) if own else np.zeros((1, 3))
+    return float(rows[:, :2].std()), float(rows[:, 2].std())
 
 
 def _moves(xy: Array) -> bool:

@@ -265,6 +265,18 @@ def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:
     assert all(values["anees"] is None for values in report["configurations"].values())
 
 
+def test_a_sensor_whose_errors_are_all_void_gets_no_verdict() -> None:
+    lost = {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.14, "lost": [[3.0, 10.0]]}
+    known: dict[str, Any] = {"configuration": "compass", "sensors": {"compass": {}}, "lost_share": 0.0}
+    verdicts = {name: {"verdict": "helps", "words": "Better."} for name in ("lrf", "compass")}
+    report: dict[str, Any] = {"configurations": {"lrf": lost, "compass": known}, "verdicts": verdicts}
+    add_validity(report, (), None)
+    assert {name: v["verdict"] for name, v in report["verdicts"].items()} == {
+        "lrf": "no verdict",
+        "compass": "helps",
+    }
+
+
 @pytest.mark.parametrize(
     ("words", "same"),
     [

@@ -33,6 +33,7 @@ from locfuse.fusion.data import Array, ArrayStream, Drive, LocfuseError, Measure
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.gyro import GyroSettings
+from locfuse.fusion.truth import elsewhere
 from locfuse.fusion.wheels.motion import Wheels
 
 
@@ -431,6 +432,25 @@ def test_a_truth_that_steps_aside_once_is_named(seed: int, headings: bool) -> No
     assert "at 30." in found.message
 
 
+@pytest.mark.parametrize("headings", [True, False])
+def test_another_body_that_is_tracked_for_ten_seconds_can_be_left_out(headings: bool) -> None:
+    """The start that is named beside it is that of the right body."""
+    off = replace(robot(), start=StartSettings(x=START[0] - 1.0, y=START[1], theta_deg=math.degrees(START[2])))
+    healthy = drive(20, off)
+    healthy = healthy if headings else with_truth(healthy, theta=None)
+    truth = truth_of(healthy)
+    other = (truth.t > 30.0) & (truth.t < 40.0)
+    two = with_truth(healthy, xy=np.where(other[:, None], [6.0, -4.0], truth.xy))
+    found = of_truth(two, off)
+    (jump,) = (f for f in found if f.code == JUMP)
+    assert f"{other.sum()} readings can be left out" in jump.message
+    assert told(found)["start.x"] == pytest.approx(START[0], abs=0.03)
+    limit = np.full(len(truth.t) - 1, 0.1)
+    np.testing.assert_array_equal(elsewhere(truth.t, truth_of(two).xy, limit), other)
+    stays = truth.xy + np.where(truth.t > 30.0, 3.0, 0.0)[:, None] + np.where(truth.t >= 40.0, 3.0, 0.0)[:, None]
+    assert not elsewhere(truth.t, stays, limit).any()
+
+
 @pytest.mark.parametrize(("sigma_deg", "named"), [(0.0, True), (1.0, True), (4.0, False)])
 def test_a_start_four_degrees_off_is_named_unless_its_sigma_says_so(sigma_deg: float, named: bool) -> None:
     healthy = drive(22, robot())
@@ -473,7 +493,8 @@ def test_an_odometry_s_wrong_radius_or_track_is_the_wheels_and_not_the_laser_s(f
 
 
 @pytest.mark.parametrize(
-    ("truth", "wheels", "named"), [(1.045, 1.0, True), (1.0, 1.1, False), (1.1, 1.1, False), (1.02, 1.0, False)]
+    ("truth", "wheels", "named"),
+    [(1.045, 1.0, True), (1.02, 1.0, True), (1.0, 1.02, False), (1.1, 1.1, False), (1.01, 1.0, False)],
 )
 def test_a_truth_whose_size_wheels_and_laser_both_deny_is_wrong(truth: float, wheels: float, named: bool) -> None:
     """Where only the wheels are wrong, the laser denies them; where both are right, a small error is no reason."""

@@ -1,5 +1,6 @@
 """The wheels' noise by how their turning leaves that of other sensors: held to drives whose noise is known."""
 
+import math
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -11,7 +12,7 @@ from small_drive import NOISE, drive, robot
 
 from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
-from locfuse.fusion.checks.examine import holes, longest_part, unseen
+from locfuse.fusion.checks.examine import holes, longest_part, of_carried, unseen
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import WallMotion
 from locfuse.fusion.checks.raw_data import STUCK, of_signs, of_stuck_wheel, of_wheel_unit
@@ -19,6 +20,7 @@ from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path,
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
 from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.wheels.calibrate import truth_sigma
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import SPEEDS_ALONE
 from locfuse.sample_logs.scenario import load as scenario_of
@@ -229,6 +231,21 @@ def test_both_counters_that_stand_while_the_truth_moves_are_named() -> None:
     slow = np.where((one.wheels.t[:-1] > 19.0) & (one.wheels.t[:-1] < 20.0), 0.05, 1.0)[:, None]
     carried = one.wheels.rerolled(stopping.wheels.rolled * slow, 0.6)
     assert not of_stuck_wheel(replace(one, wheels=carried))
+
+
+@pytest.mark.parametrize("shown_by", ["truth", "laser"])
+def test_a_robot_that_is_carried_while_its_wheels_stand_is_named(shown_by: str) -> None:
+    """It drives at 0.3 m/s; 1.2 s at the begin and at the end of the standstill do not count."""
+    one = drive(8, robot(), laps=2.0)
+    one = one if shown_by == "truth" else replace(one, truth=None)
+    carried = held(held(one, 0, 20.0, 34.4), 1, 20.0, 34.4)
+    assert not of_carried(one)
+    (found,) = of_carried(carried)
+    assert "they stand still from 20.0 s to 34.4 s" in found.message
+    assert ("the truth moves" in found.message, "the laser turns" in found.message) == (shown_by == "truth", True)
+    assert not found.severe
+    if shown_by == "truth":  # its turn in the meantime is not its noise
+        assert truth_sigma(present(carried.truth), carried.wheels).theta < math.radians(1.0)
 
 
 # --- wheels in other units

@@ -643,6 +643,12 @@ def no_heading(m: RawMessage) -> RawMessage:
     return changed(m, **{"pose.orientation.z": 0.0, "pose.orientation.w": 1.0})
 
 
+def w_first(m: RawMessage) -> RawMessage:
+    """The tracker writes its quaternion as w, x, y, z."""
+    q = [m.fields[f"pose.orientation.{axis}"] for axis in "wxyz"]
+    return changed(m, **{f"pose.orientation.{axis}": value for axis, value in zip("xyzw", q, strict=True)})
+
+
 def elsewhere(drive: Drive) -> None:
     """The drive starts somewhere else than nothing says: at 0."""
     del drive.tables["start"]
@@ -668,6 +674,9 @@ TRUTH_TRAPS = (
     Trap("a truth that freezes while the robot drives", freezes(TRUTH), "repeat the one before"),
     Trap("a truth on a clock of its own", late(TRUTH, 0.5), "stamps look 0.5", spoils=True),
     Trap("a truth without headings", each(TRUTH, no_heading), "its heading never changes"),
+    Trap(
+        "a truth whose quaternions begin with w", each(TRUTH, w_first), "turn about the x axis: read as w, x, y, z"
+    ),
     Trap("jumps of metres in the truth", each(TRUTH, jump), "by more than the wheels rolled", spoils=True),
     Trap("a start that is not set", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
     Trap("a start by points only", points_only, "from where the drive starts", spoils=True),

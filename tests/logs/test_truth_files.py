@@ -3,7 +3,7 @@
 import math
 import tracemalloc
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,6 +12,8 @@ from commands import locfuse, refused, reported
 from evo.core import metrics, sync
 from evo.tools import file_interface
 from hostile import sample, write as sample_write
+from msgspec.structs import replace
+from pose_streams import pose_stream
 from present import present
 from wheel_bags import custom, log_of, stamps
 
@@ -23,7 +25,7 @@ from locfuse.formats.logs.clock import MadeStream
 from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.report.html import _strips
-from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import TruthSettings
 from locfuse.fusion.truth import read_truth
 
@@ -198,6 +200,20 @@ def test_one_heading_for_a_path_that_bends_is_none_and_one_turned_on_the_robot_i
     rows = "".join(f"{i},{i},0,0,0,0,{math.sin(0.05 * i)},{math.cos(0.05 * i)}\n" for i in range(9))
     truth, _ = read_truth(streamed(tmp_path / "t.csv", head + rows), TruthSettings(yaw_deg=90.0), 0)
     np.testing.assert_allclose(present(truth.theta), 0.1 * np.arange(9) - 0.5 * math.pi, atol=1e-9)
+
+
+@pytest.mark.parametrize("w_first", [False, True])
+def test_quaternions_of_a_log_that_begin_with_w_are_read(w_first: bool) -> None:
+    turn = np.linspace(0.3, 4.0, 50)
+    pose = np.column_stack((np.sin(turn), -np.cos(turn), turn))
+    stream = pose_stream("/mocap", np.arange(50) * 10**8, pose)
+    if w_first:
+        names = [f"pose.orientation.{axis}" for axis in "wxyz"]
+        moved = dict(zip(names[1:] + names[:1], [stream.data[name] for name in names], strict=True))
+        stream = replace(stream, data={**stream.data, **moved})
+    truth, _ = read_truth(cast("Stream", stream), TruthSettings(), 0)
+    np.testing.assert_allclose(np.unwrap(present(truth.theta)), turn, atol=1e-9)
+    assert truth.w_first == w_first
 
 
 def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path: Path) -> None:

@@ -44,6 +44,9 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     track: float | None = None  # m between the wheels' contact points
     scale: Scale = 1.0  # distance of the robot / distance by an odometry topic
     turn_scale: Scale = 1.0  # turn of the robot / turn by an odometry topic
+    x: float = 0.0  # m, position on the base of the body whose poses an odometry topic has
+    y: float = 0.0  # m, its position to the left
+    yaw_deg: float = 0.0  # direction of this body on the base, counter-clockwise from forward
     wheelbase: float | None = None  # m between the axles; needed for a steering angle
     steering: Steering = "angle"  # meaning of the steering value: an angle [rad], a turn rate [rad/s], a heading
     steering_topic: str | None = None  # topic with the steering position of a car; not set: found

@@ -16,6 +16,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import WallMotion
 from locfuse.fusion.checks.raw_data import STUCK, of_signs, of_stuck_wheel, of_wheel_unit
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
+from locfuse.fusion.checks.tracked_point import of_odometry
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
 from locfuse.fusion.robot import WheelSettings
@@ -367,6 +368,23 @@ def test_wheels_that_both_count_backward_are_told_from_swapped_ones(wheels_alone
     loaded = load(str(wheels_alone.log.paths[0]), sets=("wheels.mirrored=both",)).loaded
     (one,) = of_turning(loaded.drive, loaded.robot, AGAINST, {"wheels": loaded.stream("wheels")})
     assert (one.code, one.fixes) == (SWAPPED, ("wheels.mirrored=none",))
+
+
+def test_an_odometry_of_a_body_ahead_of_the_axle_is_named_unless_the_truth_has_the_same_body() -> None:
+    """A point 0.2 m ahead of the axle moves aside by 0.2 m per radian (the speed of a point of a rigid body)."""
+    clean = drive(0, robot(), ("compass",), laps=2.0)
+    twist = clean.wheels.twist + clean.wheels.twist[:, 2:] * [0.0, 0.2, 0.0]
+    body = replace(clean, wheels=Wheels.from_twists(clean.wheels.t, twist, 0.3, NOISE))
+    truth = present(clean.truth)
+    theta = present(truth.theta)
+    moved = replace(truth, xy=truth.xy + 0.2 * np.column_stack((np.cos(theta), np.sin(theta))))
+    assert of_odometry(clean, robot()) == ([], clean)
+    found, _ = of_odometry(replace(body, truth=None), robot())
+    assert [f.fixes for f in found] == [("wheels.x=0.200",)]
+    found, right = of_odometry(body, robot())
+    assert len(found) == 1
+    np.testing.assert_allclose(right.wheels.twist[:, 1], 0.0, atol=1e-6)
+    assert of_odometry(replace(body, truth=moved), robot())[0] == []
 
 
 WALLS = "the laser's walls"

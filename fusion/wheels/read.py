@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Ragged, Stream, totals
-from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings
+from locfuse.fusion.robot import MIN_SCALE, VIRTUAL_TRACK, Mirrored, WheelSettings
 from locfuse.fusion.streams import MergedStream, blank, count_dropped, numbers, seconds
 
 from . import odometry
@@ -403,6 +403,8 @@ def _from_body(
     Without a configured track, VIRTUAL_TRACK is used; it affects only the noise. `posed` is whether the messages
     have poses, `commands` whether the speeds are commands.
     """
+    if abs(settings.turn_scale) < MIN_SCALE:
+        raise LocfuseError(f"turn_scale must be at least {MIN_SCALE:g} or at most -{MIN_SCALE:g}", role="wheels")
     dropped = dict(stream.dropped)
     keep = usable(stream.t_ns, values, dropped)
     values = values - np.array([0.0, 0.0, math.radians(settings.yaw_deg), 0.0, 0.0])

@@ -355,6 +355,31 @@ def test_the_only_sensor_that_turns_against_the_wheels_may_be_right(wheels_alone
     assert ("or left and right are swapped (wheels.left=" in found.message) == (third == "")
 
 
+@pytest.mark.parametrize(
+    ("yaw_deg", "mirrored", "role"), [(0.0, "wheels", "lrf"), (90.0, "wheels", "wheels"), (90.0, "lrf", "lrf")]
+)
+def test_a_laser_that_looks_aside_shows_whether_it_or_the_odometry_is_mirrored(
+    yaw_deg: float, mirrored: str, role: str
+) -> None:
+    """A laser upside-down with a yaw of 90 degrees sees a wall at psi in the direction 180 degrees - psi."""
+    loaded = load("rounded_rectangle").loaded
+    drive, wheels, lrf = replace(loaded.drive, truth=None), loaded.drive.wheels, loaded.drive.measurements["lrf"]
+    settings = replace(loaded.robot.settings("lrf"), yaw_deg=yaw_deg)
+    if mirrored == "wheels":
+        turned = Wheels.from_twists(wheels.t, wheels.twist * [1.0, 1.0, -1.0], wheels.track, NOISE)
+        drive = replace(drive, wheels=turned)
+    else:
+        r, psi = lrf.z.T
+        r = r - 2.0 * settings.x * np.cos(psi)
+        drive = replace(drive, measurements={"lrf": replace(lrf, z=np.column_stack((r, np.pi - psi)))})
+    robot = replace(loaded.robot, sensors={**loaded.robot.sensors, "lrf": settings})
+    streams = {"wheels": SimpleNamespace(msgtype="nav_msgs/msg/Odometry"), "lrf": SimpleNamespace(msgtype="")}
+    (found,) = of_turning(drive, robot, AGAINST, cast("Any", streams))
+    assert (found.role, found.severe) == (role, True)
+    assert found.fixes == (("wheels.turn_scale=-1",) if role == "wheels" else ("lrf.flipped=true",))
+    assert ("(wheels.turn_scale=-1): no third sensor" in found.message) == (role == "lrf")
+
+
 @pytest.mark.parametrize(("y", "theta"), [(-1, 1), (1, -1)])
 @pytest.mark.parametrize("sensors", [{}, AGREES, AGAINST])
 def test_a_truth_whose_headings_turn_against_its_path_is_wrong(

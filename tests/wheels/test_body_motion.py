@@ -162,6 +162,16 @@ def test_an_odometry_of_another_scale_is_corrected_by_two_factors() -> None:
         assert read_wheels(stream, scales).wheels.pose[-1] == pytest.approx(CIRCLE[-1], abs=1e-3)
 
 
+def test_an_odometry_in_ned_is_mirrored_by_a_negative_scale_of_its_turns() -> None:
+    """Poses with y to the right and headings clockwise, of a body 0.2 m ahead on the same circle."""
+    x, y, theta = (CIRCLE + 0.2 * np.column_stack((np.cos(CIRCLE[:, 2]), np.sin(CIRCLE[:, 2]), 0.0 * T))).T
+    ned = pose_stream("/odom", np.rint(T * 1e9).astype(np.int64), np.column_stack((x, -y, -theta)))
+    found = read_wheels(ned, WheelSettings(turn_scale=-1.0, x=0.2))
+    np.testing.assert_allclose(found.wheels.pose[:, :2], CIRCLE[:, :2], atol=1e-6)
+    with pytest.raises(LocfuseError, match="turn_scale must be at least"):
+        read_wheels(ned, WheelSettings(turn_scale=0.0))
+
+
 def test_wheel_angles_have_a_radius_and_no_scale(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", joint_states(*angles()))
     words = refused("run", log, *GEOMETRY, "--set", "wheels.turn_scale=1.1")

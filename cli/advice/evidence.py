@@ -41,8 +41,8 @@ from locfuse.fusion.checks.points import MAP, SCALE as RANGE_SCALE
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.start import START, start_by_shape
 from locfuse.fusion.checks.steering import ZERO
-from locfuse.fusion.checks.tracked_point import CREEP, POINT, YAW, of_point, swing
-from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, keys, together
+from locfuse.fusion.checks.tracked_point import AHEAD, CREEP, POINT, YAW, of_point, swing
+from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, by_key, keys, together
 from locfuse.fusion.checks.truth import AXES, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
 from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED, turnings
 from locfuse.fusion.data import BASES
@@ -64,6 +64,7 @@ SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious wit
 # codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
 MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, YAW, "iron", ROOM, CREEP, RIMS)
 TRUTH_NOISE = ("truth", "noise")  # role and code
+MAX_SITS_SHARE = 0.5  # largest difference of two distances of an odometry's body, as a share of one
 MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans
 KEYLESS = {
     OPEN_SCALE,
@@ -81,7 +82,7 @@ KEYLESS = {
     CARRIED,
     ZERO,
 }  # findings that are named although no setting fixes them
-SIGN_FAULTS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged after alignment
+BY_SHAPE = {("wheels", SWAPPED), ("wheels", "mirrored"), ("wheels", AHEAD)}  # judged after alignment
 
 
 class Evidence(NoiseFindings):
@@ -107,7 +108,7 @@ class Evidence(NoiseFindings):
             or self._spins
             or scales(drive, robot, turnings(drive), least=SUSPICIOUS_SCALE)
             or self._walls_bend
-            or any(f.severe or f.code == CARRIED for f in self.doctor)
+            or any(f.severe or f.code in {CARRIED, AHEAD} for f in self.doctor)
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
@@ -281,6 +282,7 @@ class Evidence(NoiseFindings):
     def _seen(self, finding: Finding) -> Candidate:
         """Return the candidate for a finding of `doctor`, with variants of its fix."""
         measured = finding.code in MEASURED and (finding.severe or finding.code != OFFSET)
+        measured = measured or (finding.code == AHEAD and self._sits_as_far_back(finding))
         ways = [finding.fixes] if finding.fixes else []
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
             ways.append(finding.fixes[:1])  # the radius alone, without the track
@@ -288,12 +290,20 @@ class Evidence(NoiseFindings):
             ways.append(ESTIMATED)
         ways += self._with_camera_offset(finding)
         one = self._candidate(
-            finding, tuple(ways), not (finding.severe or measured or finding.code in {RATIO, HELD, CARRIED})
+            finding, tuple(ways), not (finding.severe or measured or finding.code in {RATIO, HELD, CARRIED, AHEAD})
         )
         if one.key == TRUTH_NOISE and self.overconfident:
             # it changes no pose, and the truth alone shows it: what then is underconfident was so before
             return replace(one, measured=True, proven=True, minor=one.judges, offer=False)
-        return replace(one, measured=measured, by_shape=one.key in SIGN_FAULTS)
+        return replace(one, measured=measured, by_shape=one.key in BY_SHAPE)
+
+    def _sits_as_far_back(self, finding: Finding) -> bool:
+        """Return whether a sensor's estimated mount is as far back as an odometry's body seems to be ahead."""
+        robot = self.loaded.robot
+        ahead = float(by_key(finding.fixes)["wheels.x"]) - robot.wheels.x
+        runs = ((e.sensors[0], e.blocks.get(f"{e.sensors[0]}_x")) for e in self.runs_alone())
+        moved = (float(x[-1, 0]) - robot.settings(name).x for name, x in runs if x is not None)
+        return any(abs(back + ahead) < MAX_SITS_SHARE * abs(ahead) for back in moved)
 
     def slips(self) -> list[Candidate]:
         """Return the candidate fix of wheels.noise, if turns show slip and the distance scale is certain."""

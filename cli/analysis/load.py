@@ -40,6 +40,7 @@ from .motion_evidence import STANDS, find_motion_faults, path_of
 from .mounts import (
     level_compass,
     mount_tables,
+    odometry_mount,
     on_moving_parts,
     optics_tables,
     refuse_far,
@@ -182,7 +183,8 @@ def measured(
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
-    mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
+    own = odometry_mount(log, choice.of("wheels"), transforms)
+    mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables), own)
     refuse_far(mounts, tables)
     settings = robot_toml.merge(mounts, shared_turns(tables, sensed), tables)
     robot = robot_tables.with_point_maps(make_robot(settings))
@@ -197,7 +199,7 @@ def measured(
         motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset)
     elif before is not None and before.reading is not None:
         motion = before.reading.with_noise(robot.wheels.noise)
-    elif (read := choice.read.get(choice.of("wheels"))) is not None:
+    elif not own and (read := choice.read.get(choice.of("wheels"))) is not None:
         motion = read
     else:
         progress("measuring the wheels")

@@ -19,10 +19,14 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.magnetic import FIELD, IMU, LevelledField, tilt_of
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.odometry import ODOMETRY
 
 from .topics import filled
 
 TILT_KEYS = ("roll_deg", "pitch_deg")
+CHILD_FRAME = "child_frame_id"
+MAX_TILT_RAD = math.radians(30.0)  # of an odometry's body, whose heading is then still that of the base
+MIN_MOUNT = 1e-6  # m or degrees: less is rounding
 MAX_VERTICAL = 0.7  # largest vertical part of an optical frame's z axis (unit vector)
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
@@ -85,6 +89,21 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
         elif parts[0].topic in mounts:
             tables[sensor] = {k: v for k, v in placed[parts[0].topic].items() if k in keys}
     return tables
+
+
+def odometry_mount(log: Log, topics: Sequence[str], transforms: StaticTransforms) -> dict[str, Any]:
+    """Return the place on the base of the body whose poses an odometry has, by its child_frame_id.
+
+    {} for a body at the base, and if no transform leads to it or it is tilted: only its heading would be read.
+    """
+    if len(topics) != 1 or log.topics[topics[0]].msgtype != ODOMETRY or not log.recorded(topics[0]):
+        return {}
+    _, first = next(log.stream(topics[0]).blocks(CHILD_FRAME, rows=1), ((), {CHILD_FRAME: [""]}))
+    mount = mount_of(transforms, str(next(iter(first[CHILD_FRAME]), "")))
+    if mount is None or max(abs(mount.roll), abs(mount.pitch)) > MAX_TILT_RAD:
+        return {}
+    placed = {key: value for key, value in _table(mount).items() if key in {"x", "y", "yaw_deg"}}
+    return {"wheels": placed} if max(map(abs, placed.values())) > MIN_MOUNT else {}
 
 
 def refuse_far(mounts: Mapping[str, Any], tables: Mapping[str, Any]) -> None:

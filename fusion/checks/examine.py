@@ -33,6 +33,7 @@ from .positions import of_positions
 from .raw_data import PUBLISHERS, STUCK, UNSIGNED, of_publishers, of_signs, of_stuck_wheel, of_wheel_unit
 from .start import of_start
 from .steering import ZERO, of_steering
+from .tracked_point import of_odometry
 from .truth import SIZE, UNIT, metre, of_axes, of_few, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MAX_LAG_S,
@@ -113,6 +114,8 @@ def examine(
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared
+    body, drive = of_odometry(drive, robot)
+    found += body
     found += of_landmarks(drive, robot) or of_points(drive, robot)
     found += [*of_positions(drive, robot), *of_saturation(drive, robot, streams)]
     if "camera" in drive.measurements:

@@ -1,4 +1,4 @@
-"""Checks of the body point that a truth tracks, and of the direction of its body, by the motion of the wheels."""
+"""Checks of the body point that a truth tracks, of the direction of its body, and of an odometry's body point."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Truth, interpolate, totals
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.statistics import jackknife, robust
+from locfuse.fusion.statistics import jackknife, robust, robust_with_sigmas
 from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.odometry import on_base
 
 from .finding import Finding
 
@@ -21,6 +23,8 @@ POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked 
 YAW = "body yaw"  # code of the finding on the direction of the tracked body
 MIN_CREEP, CREEP_SIGMAS, MIN_YAW_ERROR_RAD = 0.008, 5.0, math.radians(5.0)  # m per m; standard errors
 MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
+AHEAD, MIN_AHEAD_M = "ahead", 0.03  # code of the finding on an odometry's body point, m of a reported one
+MAX_REST = 0.5  # largest share of the odometry's sideways motion that its body point leaves
 APART_SIGMAS, MIN_APART_M = 6.0, 0.1  # standard errors of x and of y, one of which may be unclear; m
 MIN_SCALE_SHARE = 0.05  # least share of a path's squared steps that no tracked point explains, to find its scale
 WINDOW_S = 1.0  # s over which steps are compared
@@ -187,3 +191,32 @@ def _sideways(found: Swing) -> str:
         f"by the truth the robot drives {abs(aside):.1f}° to the {'left' if aside > 0.0 else 'right'} of where it "
         f"points (1 sigma {sigma:.1g}°)"
     )
+
+
+def of_odometry(drive: Drive, robot: Robot) -> tuple[list[Finding], Drive]:
+    """Return a finding if an odometry moves sideways in turns, as a body ahead of the axle does, and the drive.
+
+    A body at x on the base moves sideways by x times the turn. A driver that moves a step along the heading of the
+    step's begin or end has sideways motion too, as a body half a step away: this is not reported. If the truth's
+    point shows that the axle is meant, the drive is that of the axle; if it shows the body, nothing is reported.
+    """
+    (ahead, left, turn), wheels, truth = drive.wheels.twist.T, drive.wheels, drive.truth
+    if wheels.matched is not None or not left.any() or float(np.abs(turn).sum()) < MIN_TURN_RAD:
+        return [], drive
+    (aside, x), sigmas = robust_with_sigmas(np.stack((ahead, turn), axis=-1), left, STRETCH_COUNT)
+    least = max(MIN_AHEAD_M + float(np.percentile(np.abs(ahead), 90.0)), POINT_SIGMAS * float(sigmas[1]))
+    other = left - ahead * aside
+    if abs(x) < least or float(np.abs(other - turn * x).sum()) > MAX_REST * float(np.abs(other).sum()):
+        return [], drive
+    if truth is not None and (seen := swing(truth, drive)) is not None:
+        off = float(seen.x[0]) - truth.point[0]
+        if abs(off) < 0.5 * abs(x):
+            return [], drive
+        if abs(off + x) < 0.5 * abs(x):
+            twist = on_base(wheels.twist, float(x), 0.0)
+            drive = replace(drive, wheels=Wheels.from_twists(wheels.t, twist, wheels.track, wheels.noise))
+    words = (
+        f"in turns they move sideways by {abs(x):.3f} m per radian (1 sigma {sigmas[1]:.3f}): the poses look like "
+        f"those of a body {abs(x):.2f} m {'ahead of' if x > 0.0 else 'behind'} the axle"
+    )
+    return [Finding("wheels", AHEAD, words, (f"wheels.x={robot.wheels.x + x:.3f}",))], drive

@@ -29,6 +29,8 @@ from .lag import headings
 from .laser import MAX_WALL_TURN_RAD, PAIR_TURN_RAD, WallMotion, laser_motion
 
 MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
+MIRRORED_ODOMETRY = "the odometry turns the wrong way round, as with y to the right (NED)"
+MIN_ASIDE = 0.7  # least sine of a laser's yaw that shows whether the laser or the wheels are mirrored
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S, MIN_WINDOWS = 1.0, 20  # s over which turns are compared; their least number
 RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is compared; parts of the jackknife
@@ -182,9 +184,13 @@ def of_turning(drive: Drive, robot: Robot, by_sensor: Turnings, streams: Mapping
     if len(back) > 1 and len(back) == len(by_sensor):
         return [_exchanged(drive, robot, by_sensor, back, streams["wheels"])]
     found = [_reversed(name, robot, streams) for name in back]
-    if len(by_sensor) == len(found) == 1 and counts_wheels and drive.truth is None:
-        rival = " and ".join(_swapped(robot.wheels, streams["wheels"]))
-        words = f"{found[0].message}; or left and right are swapped ({rival}): no third sensor shows which"
+    if len(by_sensor) == len(found) == 1 and drive.truth is None:
+        other = _exchanged(drive, robot, by_sensor, back, streams["wheels"])
+        if not counts_wheels and back == ["lrf"] and _fits_as_mounted(drive, robot, by_sensor):
+            return [other]
+        rival = " and ".join(_swapped(robot.wheels, streams["wheels"]) if counts_wheels else other.fixes)
+        words = "left and right are swapped" if counts_wheels else MIRRORED_ODOMETRY
+        words = f"{found[0].message}; or {words} ({rival}): no third sensor shows which"
         found = [replace(found[0], message=words)]
     return found
 
@@ -213,7 +219,8 @@ def _exchanged(drive: Drive, robot: Robot, by_sensor: Turnings, others: Sequence
     """Return the finding on wheels that turn opposite to `others`: swapped, or both counting backward."""
     words = f"the wheels turn against {' and '.join(others)}"
     if stream.msgtype in BODY_READS:
-        return Finding("wheels", SWAPPED, f"{words}: the odometry turns the wrong way round", (), True)
+        fixes = (f"wheels.turn_scale={-robot.wheels.turn_scale:g}",)
+        return Finding("wheels", SWAPPED, f"{words}: {MIRRORED_ODOMETRY}", fixes, True)
     if _backward(drive, robot, by_sensor):
         fixes = (f"wheels.mirrored={BOTH_TURNED[robot.wheels.mirrored]}",)
         return Finding("wheels", SWAPPED, f"{words}: both wheels count backward", fixes, True)
@@ -228,9 +235,27 @@ def _backward(drive: Drive, robot: Robot, by_sensor: Turnings) -> bool:
         theta = np.interp(middle, truth.t, np.unwrap(truth.theta))
         moved = se2.rotated(-theta, np.diff(truth.xy, axis=0))[:, 0]
         return float(moved @ wheels.relative(truth.t[:-1], truth.t[1:])[:, 0]) < 0.0
-    turned = Wheels.from_twists(wheels.t, wheels.twist * [1.0, 1.0, -1.0], wheels.track, wheels.noise)
+    yaw = _yaw_if_turned(drive, robot, by_sensor)
+    return yaw is not None and abs(yaw) > 0.5 * math.pi
+
+
+def _yaw_if_turned(drive: Drive, robot: Robot, by_sensor: Turnings) -> float | None:
+    """Return the laser's yaw error [rad] if the wheels turn the other way round; None if it is unknown."""
+    wheels = drive.wheels
+    turned = Wheels.from_twists(wheels.t, wheels.twist * [1.0, -1.0, -1.0], wheels.track, wheels.noise)
     motion = laser_motion(replace(drive, wheels=turned), robot, clock_offset("lrf", by_sensor))
-    return motion is not None and abs(motion.yaw) > 0.5 * math.pi
+    return None if motion is None else motion.yaw
+
+
+def _fits_as_mounted(drive: Drive, robot: Robot, by_sensor: Turnings) -> bool:
+    """Return whether a laser that looks aside fits as configured if the wheels turn the other way round.
+
+    If the laser were upside-down instead, its yaw would have the other sign, which is another direction then.
+    """
+    if abs(math.sin(math.radians(robot.settings("lrf").yaw_deg))) < MIN_ASIDE:
+        return False
+    yaw = _yaw_if_turned(drive, robot, by_sensor)
+    return yaw is not None and abs(yaw) < 0.25 * math.pi
 
 
 def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
@@ -508,7 +533,7 @@ def _against_the_truth(
     if matched:
         words += "; or the laser, whose scans are the motion here, is mounted upside-down (lrf.flipped)"
     elif not others:
-        words += "; or the odometry turns the wrong way round"
+        words += f"; or {MIRRORED_ODOMETRY} (wheels.turn_scale={-robot.wheels.turn_scale:g})"
     agree = all(t.b < 0.0 < t.a for t in others.values())
     if len(others) == 1 and stream.msgtype not in BODY_READS:
         (name,) = others

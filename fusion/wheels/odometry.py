@@ -99,6 +99,8 @@ MIN_GRID_RATIO = 1.3  # least ratio of a grid to the usual step by the speeds
 MIN_ALONG, MIN_MIRROR_GAIN = 0.9, 0.3
 MAX_SPEED_MISFIT = 0.3  # mean difference of steps by speed and by pose, as share of the step, if speeds are used
 MIN_OFF_RAD, MAX_OFF_RAD = math.radians(3.0), math.radians(150.0)  # beyond: the speed may have the wrong sign
+# largest rest of sideways motion, as share of that without turns, if it is of a body ahead of the axle
+MAX_REST_BY_TURNS = 0.7
 MAX_REVERSE_SHARE = 0.1  # largest ratio of steps that are reverse in pose and speed to those reverse in speed only
 
 
@@ -313,6 +315,13 @@ def along_the_way(t: Array, values: Array) -> tuple[Array, list[str]]:
     mirror &= (abs(straight) if measured else straight.real) > MIN_ALONG
     ahead = complex((other if mirror else own) * np.sign(by_speed) @ weights)
     off = float(np.angle(ahead)) if measured and abs(ahead) > MIN_ALONG else 0.0
+    if off:  # a body ahead of the axle moves aside too, but only in turns
+        turn = se2.wrap_all(np.diff(values[:, 2]))[moving]
+        A = (np.sqrt(weights) / size)[:, None] * np.stack((by_speed, 1.0j * turn), axis=-1)
+        y = np.sqrt(weights) * (other if mirror else own)
+        alone, both = (np.linalg.lstsq(A[:, :k], y)[0] for k in (1, 2))
+        rest, left = (float(np.linalg.norm(y - A[:, : len(x)] @ x)) for x in (alone, both))
+        off = float(np.angle(both[0])) if left < MAX_REST_BY_TURNS * rest else off
     off, words = off if MIN_OFF_RAD < abs(off) < MAX_OFF_RAD else 0.0, []
     values = values + np.array([0.0, 0.0, off, 0.0, 0.0])
     if off:
@@ -323,6 +332,15 @@ def along_the_way(t: Array, values: Array) -> tuple[Array, list[str]]:
         side = "its headings are" if turned < 0.0 else "y is"
         words.append(f"its path is a mirror image of its headings: {side} taken with the other sign")
     return values, words
+
+
+def on_base(twist: Array, x: float, y: float) -> Array:
+    """Return the base's motion (n, 3) from that of a body at x, y [m] on it, with the base's directions.
+
+    The body's speed is v + omega x r. Where no step goes sideways, only speeds ahead are given.
+    """
+    ahead, left, turn = twist.T
+    return np.stack((ahead + y * turn, left - x * turn if left.any() else left, turn), axis=-1)
 
 
 def backing_up(steps: Array, by_speed: Array) -> Mask:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Ints, LocfuseError, Mask, Ragged, Stream, totals
-from locfuse.fusion.robot import VIRTUAL_TRACK, Mirrored, WheelSettings
+from locfuse.fusion.robot import MIN_SCALE, VIRTUAL_TRACK, Mirrored, WheelSettings
 from locfuse.fusion.streams import MergedStream, blank, count_dropped, numbers, seconds
 
 from . import odometry
@@ -283,6 +283,7 @@ WHEEL_READS: Mapping[str, tuple[str, ...]] = {
     **odometry.BODY_READS,
     **{kind: (field,) for kind, field in MOTOR.items()},
 }
+OF_ODOMETRY = ("scale", "turn_scale", "x", "y", "yaw_deg")  # keys that only an odometry has
 MIN_LENGTH_M = 1e-6  # least radius and track
 SIGNS: Mapping[Mirrored, tuple[float, float]] = {
     "none": (1.0, 1.0),
@@ -314,12 +315,10 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
         posed = odometry.has_pose(stream.msgtype, settings)
         commands = not posed and odometry.commanded(stream.topic, stream.msgtype)
         return _from_body(stream, odometry.pose_and_speed(stream, settings), settings, posed, commands)
-    if settings.scales != (1.0, 1.0, 1.0):
-        raise LocfuseError(
-            f"wheels.scale and wheels.turn_scale correct an odometry, and {stream.topic} is none: set "
-            "wheels.radius and wheels.track",
-            role="wheels",
-        )
+    usual = WheelSettings()
+    if wrong := [f"wheels.{key}" for key in OF_ODOMETRY if getattr(settings, key) != getattr(usual, key)]:
+        words = f"{' and '.join(wrong)}: only for an odometry, and {stream.topic} is none: set "
+        raise LocfuseError(f"{words}wheels.radius and wheels.track", role="wheels")
     if isinstance(stream, MergedStream) and is_tricycle(stream):
         found = read_encoders(stream, settings)
         require_two(stream.topic, len(found.t), len(stream.parts[0].t_ns))
@@ -404,8 +403,11 @@ def _from_body(
     Without a configured track, VIRTUAL_TRACK is used; it affects only the noise. `posed` is whether the messages
     have poses, `commands` whether the speeds are commands.
     """
+    if abs(settings.turn_scale) < MIN_SCALE:
+        raise LocfuseError(f"turn_scale must be at least {MIN_SCALE:g} or at most -{MIN_SCALE:g}", role="wheels")
     dropped = dict(stream.dropped)
     keep = usable(stream.t_ns, values, dropped)
+    values = values - np.array([0.0, 0.0, math.radians(settings.yaw_deg), 0.0, 0.0])
     if posed:
         lost = blank(values[keep, :2])
         count_dropped(dropped, zeros=lost)
@@ -422,7 +424,10 @@ def _from_body(
         count_dropped(dropped, spike=motion.spikes)
         t, twist, notes, doubt = t[motion.keep], motion.twist, motion.notes, motion.doubt
     require_two(stream.topic, len(t), len(stream.t_ns))
-    twist = twist * settings.scales
+    if settings.x or settings.y or settings.yaw_deg:
+        place = f"({settings.x:.3g}, {settings.y:.3g}) m on the base, at {settings.yaw_deg:.1f}°"
+        notes = (*notes, f"its poses are of a body at {place} (wheels.x, wheels.y, wheels.yaw_deg)")
+    twist = odometry.on_base(twist * settings.scales, settings.x, settings.y)
     wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = int(stream.t_ns[keep[0]]) + round((float(t[0]) + settings.time_offset) * 1e9)
     return WheelReading(wheels, epoch_ns, dropped, notes, doubt)

@@ -17,6 +17,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import WallMotion
 from locfuse.fusion.checks.raw_data import STUCK, of_signs, of_stuck_wheel, of_wheel_unit
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
+from locfuse.fusion.checks.tracked_point import of_odometry
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
 from locfuse.fusion.data import Drive
 from locfuse.fusion.robot import WheelSettings
@@ -371,6 +372,31 @@ def test_the_only_sensor_that_turns_against_the_wheels_may_be_right(wheels_alone
     assert ("or left and right are swapped (wheels.left=" in found.message) == (third == "")
 
 
+@pytest.mark.parametrize(
+    ("yaw_deg", "mirrored", "role"), [(0.0, "wheels", "lrf"), (90.0, "wheels", "wheels"), (90.0, "lrf", "lrf")]
+)
+def test_a_laser_that_looks_aside_shows_whether_it_or_the_odometry_is_mirrored(
+    yaw_deg: float, mirrored: str, role: str
+) -> None:
+    """A laser upside-down with a yaw of 90 degrees sees a wall at psi in the direction 180 degrees - psi."""
+    loaded = load("rounded_rectangle").loaded
+    drive, wheels, lrf = replace(loaded.drive, truth=None), loaded.drive.wheels, loaded.drive.measurements["lrf"]
+    settings = replace(loaded.robot.settings("lrf"), yaw_deg=yaw_deg)
+    if mirrored == "wheels":
+        turned = Wheels.from_twists(wheels.t, wheels.twist * [1.0, 1.0, -1.0], wheels.track, NOISE)
+        drive = replace(drive, wheels=turned)
+    else:
+        r, psi = lrf.z.T
+        r = r - 2.0 * settings.x * np.cos(psi)
+        drive = replace(drive, measurements={"lrf": replace(lrf, z=np.column_stack((r, np.pi - psi)))})
+    robot = replace(loaded.robot, sensors={**loaded.robot.sensors, "lrf": settings})
+    streams = {"wheels": SimpleNamespace(msgtype="nav_msgs/msg/Odometry"), "lrf": SimpleNamespace(msgtype="")}
+    (found,) = of_turning(drive, robot, AGAINST, cast("Any", streams))
+    assert (found.role, found.severe) == (role, True)
+    assert found.fixes == (("wheels.turn_scale=-1",) if role == "wheels" else ("lrf.flipped=true",))
+    assert ("(wheels.turn_scale=-1): no third sensor" in found.message) == (role == "lrf")
+
+
 @pytest.mark.parametrize(("y", "theta"), [(-1, 1), (1, -1)])
 @pytest.mark.parametrize("sensors", [{}, AGREES, AGAINST])
 def test_a_truth_whose_headings_turn_against_its_path_is_wrong(
@@ -384,6 +410,23 @@ def test_wheels_that_both_count_backward_are_told_from_swapped_ones(wheels_alone
     loaded = load(str(wheels_alone.log.paths[0]), sets=("wheels.mirrored=both",)).loaded
     (one,) = of_turning(loaded.drive, loaded.robot, AGAINST, {"wheels": loaded.stream("wheels")})
     assert (one.code, one.fixes) == (SWAPPED, ("wheels.mirrored=none",))
+
+
+def test_an_odometry_of_a_body_ahead_of_the_axle_is_named_unless_the_truth_has_the_same_body() -> None:
+    """A point 0.2 m ahead of the axle moves aside by 0.2 m per radian (the speed of a point of a rigid body)."""
+    clean = drive(0, robot(), ("compass",), laps=2.0)
+    twist = clean.wheels.twist + clean.wheels.twist[:, 2:] * [0.0, 0.2, 0.0]
+    body = replace(clean, wheels=Wheels.from_twists(clean.wheels.t, twist, 0.3, NOISE))
+    truth = present(clean.truth)
+    theta = present(truth.theta)
+    moved = replace(truth, xy=truth.xy + 0.2 * np.column_stack((np.cos(theta), np.sin(theta))))
+    assert of_odometry(clean, robot()) == ([], clean)
+    found, _ = of_odometry(replace(body, truth=None), robot())
+    assert [f.fixes for f in found] == [("wheels.x=0.200",)]
+    found, right = of_odometry(body, robot())
+    assert len(found) == 1
+    np.testing.assert_allclose(right.wheels.twist[:, 1], 0.0, atol=1e-6)
+    assert of_odometry(replace(body, truth=moved), robot())[0] == []
 
 
 WALLS = "the laser's walls"

@@ -98,9 +98,10 @@ def placed(poses: Array, place: str = "position", heading: str = "orientation") 
     return [{place: {"x": x, "y": y}, heading: turned(theta)} for x, y, theta in poses.tolist()]
 
 
-def odometry(t: Array, poses: Array, topic: str = "/odom", frame: str = "odom") -> list[Said]:
-    """Poses (n, 3) at times t (n,) as an odometry says them, given in a frame."""
-    return messages(topic, ODOMETRY, t, ({"pose": {"pose": pose}} for pose in placed(poses)), frame)
+def odometry(t: Array, poses: Array, topic: str = "/odom", frame: str = "odom", child: str = "") -> list[Said]:
+    """Poses (n, 3) at times t (n,) as an odometry says them, of a frame in another one."""
+    rows = ({"child_frame_id": child, "pose": {"pose": pose}} for pose in placed(poses))
+    return messages(topic, ODOMETRY, t, rows, frame)
 
 
 def poses_in(frame: str, t: Array, poses: Array, topic: str) -> list[Said]:

@@ -298,7 +298,7 @@ RECORD_FIELDS: dict[str, int] = {
     "fusion/judge/innovations.py:OwnInnovations": 13,
     "fusion/lines/extract.py:LineSettings": 19,
     "fusion/map/line_map.py:LineMap": 13,
-    "fusion/robot.py:WheelSettings": 26,
+    "fusion/robot.py:WheelSettings": 29,
 }
 CHANGING_FIELDS: dict[str, int] = {
     "fusion/ekf/belief_arrays.py:JointBelief": 15,

@@ -162,10 +162,46 @@ def test_an_odometry_of_another_scale_is_corrected_by_two_factors() -> None:
         assert read_wheels(stream, scales).wheels.pose[-1] == pytest.approx(CIRCLE[-1], abs=1e-3)
 
 
+def test_an_odometry_in_ned_is_mirrored_by_a_negative_scale_of_its_turns() -> None:
+    """Poses with y to the right and headings clockwise, of a body 0.2 m ahead on the same circle."""
+    x, y, theta = (CIRCLE + 0.2 * np.column_stack((np.cos(CIRCLE[:, 2]), np.sin(CIRCLE[:, 2]), 0.0 * T))).T
+    ned = pose_stream("/odom", np.rint(T * 1e9).astype(np.int64), np.column_stack((x, -y, -theta)))
+    found = read_wheels(ned, WheelSettings(turn_scale=-1.0, x=0.2))
+    np.testing.assert_allclose(found.wheels.pose[:, :2], CIRCLE[:, :2], atol=1e-6)
+    with pytest.raises(LocfuseError, match="turn_scale must be at least"):
+        read_wheels(ned, WheelSettings(turn_scale=0.0))
+
+
 def test_wheel_angles_have_a_radius_and_no_scale(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", joint_states(*angles()))
     words = refused("run", log, *GEOMETRY, "--set", "wheels.turn_scale=1.1")
-    assert "wheels.scale and wheels.turn_scale correct an odometry, and /joint_states is none" in words
+    assert "wheels.turn_scale: only for an odometry, and /joint_states is none" in words
+
+
+@pytest.mark.parametrize("child", ["camera_link", "somewhere"])
+def test_an_odometry_of_a_camera_is_that_of_the_base_if_the_log_knows_its_mount(
+    child: str, tmp_path: Path
+) -> None:
+    """A camera 0.2 m ahead and 0.1 m to the left, turned by 0.5 rad; without a mount it counts as base."""
+    x, y, theta = CIRCLE.T
+    c, s = np.cos(theta), np.sin(theta)
+    camera = np.column_stack((x + 0.2 * c - 0.1 * s, y + 0.2 * s + 0.1 * c, theta + 0.5))
+    static = frames("base_link", "camera_link", T[:1], np.array([[0.2, 0.1, 0.5]]), "/tf_static")
+    pose, _ = final(log_of(tmp_path / "x.mcap", odometry(T, camera, child=child), static))
+    dx, dy = camera[-1, :2] - camera[0, :2]
+    own = [dx * math.cos(0.5) + dy * math.sin(0.5), dy * math.cos(0.5) - dx * math.sin(0.5)]
+    assert pose[:2] == pytest.approx(CIRCLE[-1, :2] if child == "camera_link" else own, abs=1e-6)
+
+
+def test_a_body_ahead_of_the_axle_is_not_turned_although_it_moves_aside_in_turns() -> None:
+    """Half of the way is straight, and all turns are to the left: on average the body moves aside by 7 degrees."""
+    turn = np.where(np.arange(400) % 100 < 50, 0.0, 0.0125)
+    base = reckoned(np.column_stack((np.full(400, 0.01), turn)))
+    ahead = base + 0.2 * np.column_stack((np.cos(base[:, 2]), np.sin(base[:, 2]), 0.0 * base[:, 2]))
+    t_ns = (np.arange(401) * 50_000_000).astype(np.int64)
+    odom = odometry_stream(t_ns, ahead, np.full(401, 0.2), np.append(turn, 0.0) / 0.05)
+    assert read_wheels(odom, WheelSettings()).notes == ()
+    np.testing.assert_allclose(read_wheels(odom, WheelSettings(x=0.2)).wheels.pose, base, atol=1e-6)
 
 
 @pytest.mark.parametrize("hangs", [False, True])

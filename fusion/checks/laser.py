@@ -244,10 +244,10 @@ def of_laser(
     if abs(motion.yaw) > MIN_YAW_ERROR_RAD + MIN_SIGMAS * motion.yaw_sigma:
         yaw = se2.wrap(math.radians(settings.yaw_deg) - motion.yaw)
         words = (
-            f"walls come nearer as they would with a yaw of {math.degrees(yaw):.0f} deg, not of "
+            f"walls come nearer as they would with a yaw of {math.degrees(yaw):z.0f} deg, not of "
             f"{settings.yaw_deg:.0f} deg as configured"
         )
-        fix = f"lrf.yaw_deg={math.degrees(yaw):.1f}"
+        fix = f"lrf.yaw_deg={math.degrees(yaw):z.1f}"
         return [Finding("lrf", "yaw", words, (fix,), abs(motion.yaw) > SEVERE_YAW_ERROR_RAD)]
     scale = motion.scale * metre
     if abs(scale - 1.0) < least.error + least.sigmas * motion.scale_sigma:

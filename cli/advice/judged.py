@@ -14,9 +14,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared
+from locfuse.cli.analysis.examined import examined
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.verdicts import overconfident_by_truth
-from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import WheelSlip, beside_path, slip
@@ -64,8 +64,7 @@ class Judged:
         loaded = self.trial.whole_under(self.fixes)
         if loaded is None or (any(loaded.window) and not loaded.how.beside_hole):
             return []  # checks need whole drives
-        streams = {role: loaded.stream(role) for role in loaded.choice.topics}
-        found = examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
+        found = examined(loaded, WORTH_TRYING)
         known = self.trial.align == "none" and not loaded.how.begin
         return [f for f in found if f.code != FEW and (f.code != START or known)]
 

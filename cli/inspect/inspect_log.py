@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import TF, choose_each
+from locfuse.cli.analysis.examined import examined
 from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured, unbroken
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.motion_evidence import STANDS
@@ -24,7 +25,7 @@ from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.checks.examine import BLIND, MIXED, examine, too_short
+from locfuse.fusion.checks.examine import BLIND, MIXED, too_short
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
 from locfuse.fusion.checks.pictures import of_pictures
@@ -134,14 +135,13 @@ def _measure(overview: Overview, progress: Progress) -> None:
         return
     progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
-    streams = {role: loaded.stream(role) for role in loaded.choice.topics}
     overview.findings += [Finding(n.role, "motion", n.words, n.fixes, severe=True) for n in loaded.motion_faults]
     if loaded.drive.wheels.stands:
         overview.findings.append(Finding("wheels", "standing", STANDS))
     part, holes = unbroken(loaded)
     short = too_short(loaded.drive)
     overview.findings += [*holes, *([Finding("log", "short", short)] if short else [])]
-    found, known = examine(part.drive, part.robot, streams), {f.role for f in overview.findings if f.severe}
+    found, known = examined(part), {f.role for f in overview.findings if f.severe}
     if loaded.motion_faults or short:  # such a drive cannot show faults of sensors
         found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, *MIXED}]
     by_channels = {f.role for f in overview.findings if f.code == PUBLISHERS}

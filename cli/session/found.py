@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import msgspec
 
+from locfuse.cli.analysis.examined import examined
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.results import loss_lines
 from locfuse.cli.analysis.settings import LogOptions, PathLike, path_of
@@ -15,7 +16,7 @@ from locfuse.formats.report.findings import options
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import may_replace, write_text
 from locfuse.fusion.checks.clocks import CLOCK
-from locfuse.fusion.checks.examine import HOLE, examine, holes, of_holes
+from locfuse.fusion.checks.examine import HOLE, holes, of_holes
 from locfuse.fusion.data import LocfuseError
 
 from .python_words import speaks_python
@@ -102,8 +103,7 @@ def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
     """
     if one.drive.wheels.stands:
         return
-    streams = {role: one.stream(role) for role in one.choice.topics}
-    for finding in of_holes(one.drive, holes(one.drive)) or examine(one.drive, one.robot, streams):
+    for finding in of_holes(one.drive, holes(one.drive)) or examined(one):
         unfixed = UNFIXED.get(finding.code, "Leave this log out" if finding.role == "truth" else "")
         role, fixes = finding.role, finding.fixes
         if finding.severe and finding.code not in {"start", *own} and (fixes or unfixed):

@@ -50,6 +50,7 @@ MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors, as t
 BUMP_STRETCHES = 20  # of the drive, with independent errors
 MIN_BUMP_SHARE = 0.2  # of the walls, before and after the step: 4 stretches, whose spread is known
 MAX_RADIUS_MISFIT = 0.5  # difference of two errors with one cause, as a share of the smaller error
+MAX_POWER_ERROR = 0.1  # relative, of a factor that is a power of 2: 29 % of all factors are so near one by chance
 MIN_CORRELATION = 0.9  # of turns by walls and by wheels: with less, turns by wheels are noise
 MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, smallest sum of squared turns: on a straight path they are noise
 
@@ -220,8 +221,23 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
         f"by the laser's walls they measure ways and turns {1.0 / factor:.3f} times as long as these are (1 sigma "
         f"{sigma:.3f}): a wrong radius does both"
     )
-    fixes = (f"wheels.radius={radius * factor:.4g}",)
-    return [Finding("wheels", "radius", words, fixes, abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
+    fix, rival = size_fix(robot, factor, sigma)
+    return [Finding("wheels", "radius", words + rival, (fix,), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
+
+
+def size_fix(robot: Robot, factor: float, sigma: float) -> tuple[str, str]:
+    """Return the setting that makes ways of counted wheels `factor` times as long, and words for an equal one.
+
+    An encoder of n lines counts n, 2 n or 4 n edges per revolution, so a factor that is a power of 2, within its
+    uncertainty and that of the radius, comes from a wrong number of ticks.
+    """
+    radius, ticks = robot.wheels.radius or 0.0, robot.wheels.ticks_per_revolution
+    power, by_radius = 2.0 ** -round(math.log2(factor)), f"wheels.radius={radius * factor:.4g}"
+    rest = WORTH_SAYING.error + WORTH_SAYING.sigmas * sigma * power  # an error of the radius that is not reported
+    if ticks is None or power == 1.0 or abs(factor * power - 1.0) > min(rest, MAX_POWER_ERROR):
+        return by_radius, ""
+    words = f". A wrong number of ticks does that (encoders count 1, 2 or 4 edges per line), or {by_radius}"
+    return f"wheels.ticks_per_revolution={ticks * power:g}", words
 
 
 def of_laser(
@@ -244,10 +260,10 @@ def of_laser(
     if abs(motion.yaw) > MIN_YAW_ERROR_RAD + MIN_SIGMAS * motion.yaw_sigma:
         yaw = se2.wrap(math.radians(settings.yaw_deg) - motion.yaw)
         words = (
-            f"walls come nearer as they would with a yaw of {math.degrees(yaw):.0f} deg, not of "
+            f"walls come nearer as they would with a yaw of {math.degrees(yaw):z.0f} deg, not of "
             f"{settings.yaw_deg:.0f} deg as configured"
         )
-        fix = f"lrf.yaw_deg={math.degrees(yaw):.1f}"
+        fix = f"lrf.yaw_deg={math.degrees(yaw):z.1f}"
         return [Finding("lrf", "yaw", words, (fix,), abs(motion.yaw) > SEVERE_YAW_ERROR_RAD)]
     scale = motion.scale * metre
     if abs(scale - 1.0) < least.error + least.sigmas * motion.scale_sigma:

@@ -18,7 +18,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.repairs import gaps_of, times
 
 from .finding import Finding, Least, of_error
-from .laser import OPEN_SCALE, WallMotion, range_fix, who_is_right
+from .laser import OPEN_SCALE, WallMotion, range_fix, size_fix, who_is_right
 from .start import of_start
 from .tracked_point import axle_path, of_creep, of_point, of_yaw, swing, swing_by_positions
 
@@ -402,19 +402,23 @@ def metre(drive: Drive, robot: Robot, least: Least | None = None) -> tuple[float
         f"they measure {abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1.0 else 'long'} by the truth "
         f"(± {sigma:.1%})"
     )
-    fixes = wheels_fix(robot, factor)
+    fixes, rival = wheels_fix(robot, factor, sigma)
     if not fixes and robot.wheels.estimate:
         return factor, []
-    return factor, [Finding("wheels", WHEEL_SCALE, words, fixes, abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
+    return factor, [Finding("wheels", WHEEL_SCALE, words + rival, fixes, abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
-def wheels_fix(robot: Robot, factor: float) -> tuple[str, ...]:
-    """Return settings that make wheel distances `factor` times as long; () if the filter estimates the scale."""
+def wheels_fix(robot: Robot, factor: float, sigma: float) -> tuple[tuple[str, ...], str]:
+    """Return settings that make wheel distances `factor` times as long, and words for an equal setting.
+
+    The settings are () if the filter estimates the scale.
+    """
     wheels = robot.wheels
     if wheels.radius is None:  # no setting changes a driver's radius: the filter estimates the scale
-        return () if wheels.estimate else ("wheels.estimate=true",)
+        return () if wheels.estimate else ("wheels.estimate=true",), ""
     track = () if wheels.track is None else (f"wheels.track={wheels.track * factor:.4g}",)  # turns stay equal
-    return (f"wheels.radius={wheels.radius * factor:.4g}", *track)
+    fix, rival = size_fix(robot, factor, sigma)
+    return (fix, *track), rival
 
 
 def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
@@ -436,5 +440,5 @@ def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
         f"wheels', 1 sigma {sigma:.3f})"
     )
     hint = who_is_right(robot, 1.0 / ratio, fixes[0]) if fixes else ""
-    found_too = [Finding("wheels", WHEEL_SCALE, words, wheels_fix(robot, ratio))]
+    found_too = [Finding("wheels", WHEEL_SCALE, words, wheels_fix(robot, ratio, sigma)[0])]
     return [Finding(run.sensors[0], OPEN_SCALE, words + hint, fixes), *found_too]

@@ -5,8 +5,8 @@ earlier one; a point within 10 cm of a point of the earlier scan agrees. The mea
 computed for the motion by the wheels, for a robot at rest, and for the motion by matching the scans.
 
 A reversed motion is equivalent to a laser turned by 180 degrees, and a motion with the opposite turns to an
-upside-down laser. So s is the maximum over four directions of the laser, each also mirrored. With a single wall
-every motion along it agrees.
+upside-down laser. So s is the maximum over four directions of the laser, each also mirrored, and the directions
+in which the laser moved by scan matching. With a single wall every motion along it agrees.
 """
 
 from __future__ import annotations
@@ -112,12 +112,23 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         best: Array = AS_CONFIGURED + self._far_lag(motion) * LAG
         share = self.share(self._by(motion, best), SEARCH_STRIDE)
         lags, offsets = ((LAGS_S, LAG), (FINER_S, LAG)), ((OFFSETS_M, AHEAD), (OFFSETS_M, ASIDE))
-        for steps in (TURNS, *(sizes[:, None] * part for sizes, part in (*lags, *offsets))):
+        turns = np.concatenate((TURNS, self._turns_by_matching(motion, best)))
+        for steps in (turns, *(sizes[:, None] * part for sizes, part in (*lags, *offsets))):
             tries = [best + step for step in steps if step.any()]
             shares = [self.share(self._by(motion, one), SEARCH_STRIDE) for one in tries]
             if shares and max(shares) > share:
                 share, best = max(shares), tries[int(np.argmax(shares))]
         return best
+
+    def _turns_by_matching(self, motion: WheelReading, how: Array) -> Array:
+        """Return the laser's turns (2, 5), plain and mirrored, that best align a motion's ways with the scans.
+
+        The ways are complex numbers [m] in the laser's frame; the phase of their product is their angle.
+        """
+        own, (x, y) = self._by(motion, how), self._poses[:, :2].T
+        way = own[:, 0] + 1j * own[:, 1]
+        turns = np.angle([np.vdot(x + 1j * y, way), np.vdot(x - 1j * y, way)])
+        return np.array([(turn, side, 0, 0, 0) for side, turn in enumerate(turns.tolist())])
 
     def _far_lag(self, motion: WheelReading) -> float:
         """Return the lag [s] at which the motion turns as by scan matching, if that is a far one; else 0."""

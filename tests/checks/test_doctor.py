@@ -156,6 +156,17 @@ def test_a_radius_that_is_far_off_is_named_and_the_track_is_left(factor: float, 
     assert not found
 
 
+@pytest.mark.parametrize("truth", [True, False])
+@pytest.mark.parametrize(("factor", "ticks"), [(4.0, 4096.0), (0.5, 512.0), (3.0, None)])
+def test_a_factor_of_2_or_4_is_a_wrong_number_of_ticks(factor: float, ticks: float | None, truth: bool) -> None:
+    right = drive(4, robot(), truth=truth)
+    wrong = rolled(right, factor * right.wheels.rolled)
+    counting = replace(robot(), wheels=replace(robot().wheels, ticks_per_revolution=1024.0))
+    found = told(scales(wrong, counting, turnings(wrong)))
+    assert found.get("wheels.ticks_per_revolution") == ticks
+    assert found.get("wheels.radius") == (None if ticks else pytest.approx(0.05 / factor, rel=0.05))
+
+
 def test_the_noise_of_a_truth_does_not_lengthen_its_metre() -> None:
     healthy = drive(1, robot())
     noise = 0.1 * np.random.default_rng(3).normal(size=truth_of(healthy).xy.shape)

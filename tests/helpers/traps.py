@@ -139,6 +139,12 @@ def tick_pair(drive: Drive) -> None:
     drive.add(numbers("/right_ticks", "Int16", later, ticks[:, 1].astype(int)))
 
 
+def other_geometry(drive: Drive) -> None:
+    """A diameter configured as radius, and another robot's track; the driver's odometry has the right ones."""
+    drive.add(odometry(drive, dead_reckoning(drive), speeds(drive)))
+    drive.tables["wheels"] |= {"radius": 2.0 * RADIUS, "track": 0.6 * TRACK}
+
+
 def only_odometry(drive: Drive, poses: Array | None = None) -> None:
     """These poses, else those of dead reckoning, instead of wheels."""
     drive.add(odometry(drive, dead_reckoning(drive) if poses is None else poses, speeds(drive)))
@@ -209,6 +215,7 @@ WHEEL_TRAPS = (
     Trap("a wrong radius", WRONG_RADIUS, "they measure", spoils=True),
     Trap("wheel angles in degrees", field(WHEELS, position=np.degrees), "angles look like degrees", spoils=True),
     Trap("geometry that only /odom knows", no_geometry, "/odom was made with these", spoils=True, refused=True),
+    Trap("geometry that /odom contradicts", other_geometry, "/odom was made with radius", spoils=True),
     Trap("geometry that /robot_description knows", described, "/robot_description has", spoils=True, refused=True),
     Trap("a pair of Int16 counters", tick_pair, "/odom was made with these"),
     Trap("odometry instead of wheels", only_odometry),

@@ -63,8 +63,15 @@ def moved_by(poses: Array, t: Array = T) -> WheelReading:
 
 @pytest.mark.parametrize(
     ("yaw", "order", "place"),
-    [(0.0, 1, {}), (np.pi, 1, {}), (0.0, 1, {"x": -0.2, "y": 0.3}), (0.0, -1, {})],
-    ids=["as configured", "turned", "at a wrong place", "upside down"],
+    [
+        (0.0, 1, {}),
+        (np.pi, 1, {}),
+        (np.radians(-135.0), 1, {}),
+        (np.radians(-135.0), -1, {}),
+        (0.0, 1, {"x": -0.2, "y": 0.3}),
+        (0.0, -1, {}),
+    ],
+    ids=["as configured", "turned", "turned aslant", "aslant and upside down", "at a wrong place", "upside down"],
 )
 def test_points_agree_with_the_true_motion_however_the_laser_sits_and_less_with_one_twice_as_far(
     yaw: float, order: int, place: dict[str, float]

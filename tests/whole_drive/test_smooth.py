@@ -319,6 +319,6 @@ def test_too_many_walls_and_a_laser_without_a_scan_in_the_drive_are_refused() ->
     with pytest.raises(UsageError, match=r"the given map has 301 walls, and smoothing takes at most 300; leave"):
         check_smoothing(robot, ["lrf"])
     session = locfuse.load("rounded_triangle", sets=("lrf.time_offset=3600",))
-    why = r"of its 428 readings .* another clock: .*lrf\.time_offset.*-0\.\d+"
+    why = r"of its 428 readings .* another clock.*lrf\.time_offset.*: 0"
     with pytest.raises(locfuse.LocfuseError, match=why):
         session.run("compass,lrf", smooth=True, advice=False)

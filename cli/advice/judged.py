@@ -372,13 +372,15 @@ class NoiseFindings(Judged):
         Less noise of the wheels improves predictions, and yet enlarges the error if another sigma is too large.
         """
         tried = self.trial.under((*self.fixes, *fixes))
+        if tried is None:
+            return False
         for laser in self.runs_alone(LASER):
+            claimed = float(np.sqrt(laser.P[:, 0, 0] + laser.P[:, 1, 1]).mean())
             for e in self.runs_alone():
-                after = None if e is laser or tried is None else self.trial.fused(tried, e.name)
+                after = None if e is laser else self.trial.fused(tried, e.name)
                 if after is None:
                     continue
                 far, farther = (float(np.hypot(*(run.pose - laser.pose)[:, :2].T).mean()) for run in (e, after))
-                claimed = float(np.sqrt(laser.P[:, 0, 0] + laser.P[:, 1, 1]).mean())
                 if farther > max(claimed, (1.0 + MAX_AWAY) * far):
                     return True
         return False

@@ -43,7 +43,6 @@ from .mounts import (
     odometry_mount,
     on_moving_parts,
     optics_tables,
-    refuse_far,
     shared_turns,
     transforms_of,
 )
@@ -184,8 +183,9 @@ def measured(
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
     own = odometry_mount(log, choice.of("wheels"), transforms)
-    mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables), own)
-    refuse_far(mounts, tables)
+    mounts = robot_toml.merge(
+        placed, mount_tables(transforms, sensed, tables), optics_tables(log, sensed, tables), own
+    )
     settings = robot_toml.merge(mounts, shared_turns(tables, sensed), tables)
     robot = robot_tables.with_point_maps(make_robot(settings))
     moving = on_moving_parts(transforms, sensed, tables)

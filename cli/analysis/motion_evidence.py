@@ -32,7 +32,7 @@ from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .mounts import mount_tables, refuse_far, transforms_of
+from .mounts import mount_tables, transforms_of
 from .topics import Choice, Note, filled, of_sensor, of_type
 
 if TYPE_CHECKING:
@@ -191,9 +191,8 @@ class MotionEvidence:
         stream, settings = self._log.stream(self._topic), self._robot.settings("lrf")
         placed: Mapping[str, Any] = {}
         with suppress(LocfuseError):  # frames in a loop and far mounts are reported where they are used
-            mounts = mount_tables(transforms_of(self._log, [stream.frame_id]), {"lrf": [stream]})
-            refuse_far(mounts, {})
-            placed = mounts.get("lrf", {})
+            frames = transforms_of(self._log, [stream.frame_id])
+            placed = mount_tables(frames, {"lrf": [stream]}, {}).get("lrf", {})
         unset = {key: placed[key] for key in MOUNT_KEYS if key in placed and not getattr(settings, key)}
         laser = laser_of(replace(settings, **unset))
         blocks = stream.blocks(*Lrf.reads[stream.msgtype], rows=SCANS_PER_BLOCK)

@@ -75,8 +75,13 @@ def last_word(frame: str) -> str:
     return frame.rpartition("/")[2].lower()
 
 
-def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return the sensors' mounts, by the frames of their streams, as tables with the keys of their settings."""
+def mount_tables(
+    transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], given: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the sensors' mounts, by the frames of their streams, as tables with the keys of their settings.
+
+    Raises LocfuseError as `refuse_far`; `given` are the configured tables.
+    """
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -88,6 +93,7 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
             tables[sensor] = {"mounts": {t: [placed[t][key] for key in of] for t, of in shown.items()}}
         elif parts[0].topic in mounts:
             tables[sensor] = {k: v for k, v in placed[parts[0].topic].items() if k in keys}
+    refuse_far(tables, given)
     return tables
 
 

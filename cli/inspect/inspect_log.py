@@ -17,7 +17,7 @@ from locfuse.cli.analysis.examined import examined
 from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured, unbroken
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.motion_evidence import STANDS
-from locfuse.cli.analysis.mounts import mount_tables, refuse_far, shared_turns, transforms_of
+from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.cli.analysis.topics import Choice, filled, of_type
@@ -114,8 +114,7 @@ def _placed(
         transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])
     except LocfuseError as e:
         found.append(Finding("/tf_static", "tf_static", str(e)))
-    mounts, turns = mount_tables(transforms, streams), shared_turns(tables, streams)
-    refuse_far(mounts, tables)
+    mounts, turns = mount_tables(transforms, streams, tables), shared_turns(tables, streams)
     return transforms, mounts, make_robot(robot_toml.merge(mounts, turns, tables))
 
 

@@ -15,7 +15,16 @@ from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
-from locfuse.fusion.sensors.magnetic import MAX_MISSING_ARC_RAD, Iron, fit_iron, iron_error_deg, plausible
+from locfuse.fusion.sensors.magnetic import (
+    ACCELERATIONS,
+    FIELD,
+    IMU,
+    MAX_MISSING_ARC_RAD,
+    Iron,
+    fit_iron,
+    iron_error_deg,
+    plausible,
+)
 from locfuse.fusion.statistics import MAD_OF_NORMAL, jackknife, part_of, robust, robust_sigma
 from locfuse.fusion.streams import numbers
 
@@ -55,8 +64,6 @@ GRAVITY_RANGE_MPS2 = (9.0, 10.6)  # m/s^2
 MIN_TILT_RAD = math.radians(25.0)
 MIN_FIELD_ARC_RAD = math.radians(120.0)  # a shorter arc of the field does not determine a plane
 MIN_PLANE_RATIO = 10.0  # smallest ratio of the field's squares within its plane and across it
-IMU_TYPE, FIELD_TYPE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
-ACCELERATION_FIELDS = tuple(f"linear_acceleration.{a}" for a in "xyz")
 MAGNETIC_FIELDS = tuple(f"magnetic_field.{a}" for a in "xyz")
 
 
@@ -79,9 +86,9 @@ def tilted(
         settings = robot.settings(name)
         configured = rotation_3d(settings.roll_deg, settings.pitch_deg, 0.0)[2]
         up, by = None, "gravity"
-        if stream.msgtype == IMU_TYPE:
-            up = by_gravity(numbers(stream, *ACCELERATION_FIELDS))
-        elif stream.msgtype == FIELD_TYPE and by_wheels:
+        if stream.msgtype == IMU:
+            up = by_gravity(numbers(stream, *ACCELERATIONS))
+        elif stream.msgtype == FIELD and by_wheels:
             up, by = by_field(stream, drive, settings.time_offset), "the plane in which the field turns"
         if up is None or _apart(up, configured) < MIN_TILT_RAD:
             continue
@@ -163,7 +170,7 @@ MIN_READINGS, MAX_PLACE_M = 10, 1.5  # disturbed readings; m, median distance fr
 def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
     """Return findings on iron near a level magnetometer: on the robot (with a fix), or in the room."""
     stream, settings = streams.get("compass"), cast(CompassSettings, robot.settings("compass"))
-    if stream is None or stream.msgtype != FIELD_TYPE or settings.roll_deg or settings.pitch_deg:
+    if stream is None or stream.msgtype != FIELD or settings.roll_deg or settings.pitch_deg:
         return []
     field = numbers(stream, *MAGNETIC_FIELDS[:2])
     t = (stream.t_ns - drive.epoch_ns) * 1e-9 + settings.time_offset

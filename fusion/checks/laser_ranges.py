@@ -11,7 +11,15 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, Ragged, Stream
 from locfuse.fusion.lines.points import understood
-from locfuse.fusion.lines.scans import MAX_BEAMS, MAX_SWEEP_PERIODS, equal_scans, limits, returns, sweep_time
+from locfuse.fusion.lines.scans import (
+    MAX_BEAMS,
+    MAX_SWEEP_PERIODS,
+    equal_scans,
+    limits,
+    returns,
+    scan_period,
+    sweep_time,
+)
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.statistics import MAD_OF_NORMAL, jackknife
 from locfuse.fusion.streams import take
@@ -95,7 +103,7 @@ def _beside_limit(scans: dict[str, Any]) -> tuple[Array, Array]:
 
 def _sweep(column: dict[str, Array], lengths: Ints, stream: Stream) -> list[Finding]:
     """Return a finding if by time_increment a scan lasts longer than the time between scans."""
-    i, period = int(np.argmax(column["time_increment"])), laser_of(LrfSettings()).at_rate(stream.t_ns).period
+    i, period = int(np.argmax(column["time_increment"])), scan_period(stream.t_ns)
     each, beams = column["time_increment"][i : i + 1].astype(np.float64), int(lengths[i])
     lasts, used = float(each[0]) * (beams - 1), float(sweep_time(each, beams, period)[0])
     if not lasts > MAX_SWEEP_PERIODS * period:

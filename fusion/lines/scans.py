@@ -110,8 +110,13 @@ class Laser(NamedTuple):
 
     def at_rate(self, t_ns: Ints) -> Laser:
         """Return the laser with the period of scans at times t_ns (n,)."""
-        steps = np.diff(t_ns)
-        return self._replace(period=1e-9 * float(np.median(steps[steps > 0]))) if (steps > 0).any() else self
+        return self._replace(period=scan_period(t_ns))
+
+
+def scan_period(t_ns: Ints) -> float:
+    """Return the median time [s] between scans at times t_ns (n,); inf for a single scan."""
+    steps = np.diff(t_ns)
+    return 1e-9 * float(np.median(steps[steps > 0])) if (steps > 0).any() else math.inf
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:

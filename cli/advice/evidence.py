@@ -7,7 +7,7 @@ these are right.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property, partial
 
 import numpy as np
@@ -185,13 +185,14 @@ class Evidence(NoiseFindings):
         Sensors with a wrong clock in the best explanation are left out: `clocks` has their candidates.
         """
         first = {clock.name for clocks in self.wrong[:1] for clock in clocks}
-        return [one for one in self._late(self.wrong[1:]) if one.finding.role not in first]
+        return self._late(self.wrong[1:], first)
 
-    def _late(self, explanations: Sequence[Sequence[Clock]]) -> list[Candidate]:
+    def _late(self, explanations: Sequence[Sequence[Clock]], others: Collection[str] = ()) -> list[Candidate]:
+        """Return candidate time offsets of the clocks in these explanations, but of `others`."""
         found: dict[str, Candidate] = {}
         by_truth = self.loaded.drive.truth is not None
         for clock in (clock for clocks in explanations for clock in clocks):
-            if clock.name in found or not self.judges(clock.name):
+            if clock.name in found or clock.name in others or not self.judges(clock.name):
                 continue  # no run uses this sensor
             sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
             rival = rival_words(rival_of(self.wrong), self.loaded.robot) if clock in self.wrong[0] else ""

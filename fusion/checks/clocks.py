@@ -10,7 +10,7 @@ clock is wrong.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -233,13 +233,13 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
         found = {pair: lag for pair, lag in found.items() if not {LASER, *of_run}.issuperset(pair)}
         found |= {(s, LASER): _of_a_run(lag, found.get((LASER, base))) for s, lag in of_run.items()}
     if truth is not None:
-        by_motion = truth_lag(drive)
-        found |= {(name, "truth"): lag for name, lag in lags_by_truth(drive, truth).items()}
+        by_motion, by_turns = truth_lag(drive), lags_by_truth(drive, truth)
+        found |= {(name, "truth"): lag for name, lag in by_turns.items()}
         own = None if by_run is None else lag_of_run(drive, truth, by_run)
         if own is not None:
             found[LASER, "truth"] = _of_a_run(own, by_motion)
         found["truth", base] = by_motion
-        found = {**_lags_by_places(drive, robot), **found}
+        found = {**_lags_by_places(drive, robot, by_turns), **found}
     return {pair: _known(lag) for pair, lag in found.items() if lag is not None}
 
 
@@ -324,12 +324,14 @@ def explained(
     )
 
 
-def _lags_by_places(drive: Drive, robot: Robot) -> dict[Pair, Lag]:
-    """Return the lag of each sensor of positions, such as landmarks, relative to the truth's clock."""
+def _lags_by_places(drive: Drive, robot: Robot, others: Collection[str]) -> dict[Pair, Lag]:
+    """Return the lag of each sensor of positions, such as landmarks, but of `others`, relative to the truth."""
     truth, found = drive.truth, dict[Pair, Lag]()
     if truth is None:
         return found
     for name, every in drive.measurements.items():
+        if name in others:
+            continue
         m = every.take(np.arange(0, len(every.t), 1 + len(every.t) // MAX_PLACED))
         misfit = partial(REGISTRY[name].misfit, settings=robot.settings(name))
         if len(m.t) >= MIN_READINGS and (lag := _lag_by_places(m, misfit, truth)) is not None:

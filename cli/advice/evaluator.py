@@ -67,9 +67,11 @@ def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | 
         trial.keep(fixes)
         compared = first
         if compared is None or fixes:
-            trial.fusions += len(trial.configurations)
-            how = Asked(align=align, smooth=False, audits=False)
-            compared = compare_log(loaded, [*trial.configurations.values()], how, progress)
+            known = trial.complete(fixes)
+            trial.fusions += len(trial.configurations) - len(known)
+            how = Asked(align=align, smooth=False)
+            several = [*trial.configurations.values()]
+            compared = compare_log(loaded, several, how, progress, known=known)
         trial.seed(fixes, compared)
         return Evidence(compared, trial, fixes)
 

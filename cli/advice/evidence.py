@@ -386,8 +386,7 @@ class Evidence(NoiseFindings):
                 continue
             if not self._looks_wrong(sensor) and sensor not in self._other_mounts:
                 continue
-            probed = self.trial.under((*self.fixes, *probe))
-            run = None if probed is None else self.trial.fused(probed, self._alone(sensor))
+            run = self.trial.run((*self.fixes, *probe), self._alone(sensor))
             if run is not None and not run.lost:
                 yield from probes.of_probe(robot, sensor, run, drive.truth is not None)
         for e in self.runs_alone(LASER):

@@ -330,7 +330,7 @@ class NoiseFindings(Judged):
     def _innovations(self, sensor: str, fixes: Fixes) -> OwnInnovations | None:
         """Return a sensor's innovation statistics with these settings added; None if fusing fails."""
         tried = self.trial.under((*self.fixes, *fixes))
-        run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
+        run = self.trial.run((*self.fixes, *fixes), self._alone(sensor))
         if tried is None or run is None:
             return None
         return own(run.audits[sensor], tried.drive.measurements[sensor])
@@ -371,13 +371,10 @@ class NoiseFindings(Judged):
 
         Less noise of the wheels improves predictions, and yet enlarges the error if another sigma is too large.
         """
-        tried = self.trial.under((*self.fixes, *fixes))
-        if tried is None:
-            return False
         for laser in self.runs_alone(LASER):
             claimed = float(np.sqrt(laser.P[:, 0, 0] + laser.P[:, 1, 1]).mean())
             for e in self.runs_alone():
-                after = None if e is laser else self.trial.fused(tried, e.name)
+                after = None if e is laser else self.trial.run((*self.fixes, *fixes), e.name)
                 if after is None:
                     continue
                 far, farther = (float(np.hypot(*(run.pose - laser.pose)[:, :2].T).mean()) for run in (e, after))

@@ -27,6 +27,7 @@ MAX_INSTANTS = 2400  # update times: 4 min of a 10 Hz laser
 SEEN_AFTERWARDS = {"truth.x", "truth.y", "truth.yaw_deg", "truth.sigma", "truth.sigma_theta_deg"}
 TRIED, WHOLE, SMOOTHED = "trying", "trying on the whole drive", "smoothing"  # kinds of figures
 MAX_FUSIONS = 60  # runs of the filter for one log's advice
+MAX_STORED_RUNS = 12  # runs of one configuration on the beginning that are stored
 
 
 @dataclass
@@ -44,8 +45,8 @@ class Trial:
     _last: tuple[Fixes, Loaded | None] = ((), None)  # fixes of the last call, and the whole log under them
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _marks: dict[tuple[str, Fixes, str], Marks] = field(default_factory=dict)  # by TRIED, WHOLE or SMOOTHED
-    # the last runs by kind and configuration, and the fixes that they were fused under
-    _runs: dict[tuple[str, str], tuple[Fixes, Estimates]] = field(default_factory=dict)
+    # the last runs by kind and configuration, then by the fixes that change them
+    _runs: dict[tuple[str, str], dict[Fixes, Estimates]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Limit trials on a long drive to its first MAX_INSTANTS update times."""
@@ -59,7 +60,6 @@ class Trial:
         loaded = self.whole_under(fixes)
         if loaded is not None:
             self._kept = fixes, loaded
-            self._runs = {}
 
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
         """Return the figures of these configurations with settings added; {} if they cannot be applied."""
@@ -67,7 +67,7 @@ class Trial:
 
     def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
         """Return the figures of these configurations on the whole drive, {} if the settings cannot be applied."""
-        return self._of(TRIED if self.loaded is self.whole else WHOLE, fixes, names)
+        return self._of(self._kind_of_whole, fixes, names)
 
     def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
         """Return the errors of the smoothed paths of `names` that are shown by default; {} without truth."""
@@ -85,7 +85,10 @@ class Trial:
         if self.whole.drive.truth is not None or name is None:
             return None
         loaded = self.whole_under(fixes)
-        run = None if loaded is None else self.fused(loaded, name)
+        if self.loaded is self.whole:
+            run = self.run(fixes, name)
+        else:
+            run = None if loaded is None else self.fused(loaded, name)
         scans = None if loaded is None or run is None else OwnScans.of(loaded.drive)
         return None if scans is None or run is None else scans.judge(run)[0]
 
@@ -112,15 +115,47 @@ class Trial:
             # no share of time lost: some of its own readings may be left out here, to be predicted
             alone = fuser(loaded.robot.preset)(drive, loaded.robot, c.sensors, c.name, flags)
             return Marks(prediction=mean_density(drive, alone, flags))
-        moving = tuple(fix for fix in fixes if not keys((fix,)) <= SEEN_AFTERWARDS)
-        under, e = self._runs.get((kind, name), (None, None))
-        if e is None or under != moving:
-            e = self.fused(loaded, name, smooth=kind == SMOOTHED)
+        e = self.stored(kind, fixes, name)
+        if e is None:
+            before = self.stored(self._kind_of_whole, fixes, name) if kind == SMOOTHED else None
+            e = self.fused(loaded, name, kind == SMOOTHED, before)
         if e is None or e.smoothed != (kind == SMOOTHED):
             return None
-        if kind == WHOLE:
-            self._runs[kind, name] = moving, replace(e, audits={})
+        self._store(kind, fixes, e)
         return marks_of(e, evaluate(e, drive, cast("Align", self.align)), drive)
+
+    @property
+    def _kind_of_whole(self) -> str:
+        return TRIED if self.loaded is self.whole else WHOLE
+
+    def stored(self, kind: str, fixes: Fixes, name: str) -> Estimates | None:
+        """Return a stored run under fixes that give the same estimates; None without one."""
+        return self._runs.get((kind, name), {}).get(moving_part(fixes))
+
+    def run(self, fixes: Fixes, name: str) -> Estimates | None:
+        """Return a configuration's run on the log for trials, with its audits; None if it cannot be fused."""
+        loaded, e = self.under(fixes), self.complete(fixes).get(name)
+        if e is None and loaded is not None and (e := self.fused(loaded, name)) is not None:
+            self._store(TRIED, fixes, e)
+        return e
+
+    def complete(self, fixes: Fixes) -> dict[str, Estimates]:
+        """Return the stored runs for trials under these fixes that have their audits, by configuration."""
+        runs = ((name, c, self.stored(TRIED, fixes, name)) for name, c in self.configurations.items())
+        return {name: e for name, c, e in runs if e is not None and set(c.sensors) <= set(e.audits)}
+
+    def _store(self, kind: str, fixes: Fixes, e: Estimates) -> None:
+        """Store a run, in place of the oldest one if there are too many."""
+        if kind == SMOOTHED:
+            return
+        runs, moving = self._runs.setdefault((kind, e.name), {}), moving_part(fixes)
+        if moving in runs:
+            return
+        # of a whole drive only one: an hour's run takes tens of megabytes
+        if len(runs) >= (MAX_STORED_RUNS if kind == TRIED else 1):
+            del runs[next(iter(runs))]
+        smoothed = self.configurations[e.name].is_smoothed(Asked(), self.whole.robot)
+        runs[moving] = e if kind == TRIED or smoothed else replace(e, audits={})
 
     def know(self, kind: str, fixes: Fixes, name: str, marks: Marks) -> None:
         """Store the figures of a finished run, so that it is not fused again."""
@@ -133,7 +168,7 @@ class Trial:
         if compared.loaded.drive.truth is None:
             return
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
-            self._runs[TRIED, e.name] = fixes, e
+            self._store(TRIED, fixes, e)
             self.know(TRIED, fixes, e.name, marks_of(e, judged, compared.loaded.drive))
 
     def under(self, fixes: Fixes) -> Loaded | None:
@@ -167,13 +202,23 @@ class Trial:
         drive, robot = windowed(loaded.drive, loaded.robot, None, self._end)
         return replace(loaded, drive=drive, robot=robot, how=replace(loaded.how, end=self._end))
 
-    def fused(self, loaded: Loaded, name: str, smooth: bool = False) -> Estimates | None:
-        """Run one configuration; None if the log lacks a sensor under these settings."""
+    def fused(
+        self, loaded: Loaded, name: str, smooth: bool = False, filtered: Estimates | None = None
+    ) -> Estimates | None:
+        """Run one configuration; None if the log lacks a sensor under these settings.
+
+        `filtered` is the filter's run, if known, which is then only smoothed.
+        """
         self.fusions += 1
         try:
-            return self.configurations[name].fuse(loaded.drive, loaded.robot, smooth)[-1]
+            return self.configurations[name].fuse(loaded.drive, loaded.robot, smooth, filtered)[-1]
         except LocfuseError:
             return None
+
+
+def moving_part(fixes: Fixes) -> Fixes:
+    """Return the fixes that change estimates, sorted."""
+    return tuple(sorted(fix for fix in fixes if not keys((fix,)) <= SEEN_AFTERWARDS))
 
 
 def marks_of(e: Estimates, judged: Evaluation, drive: Drive) -> Marks:

@@ -116,9 +116,16 @@ def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
 
 
 def compare_log(
-    loaded: Loaded, configurations: Sequence[Configuration], asked: Asked, progress: Progress, draws: bool = False
+    loaded: Loaded,
+    configurations: Sequence[Configuration],
+    asked: Asked,
+    progress: Progress,
+    draws: bool = False,
+    known: Mapping[str, Estimates] | None = None,
 ) -> Compared:
     """Run and judge every configuration, by truth or by its predictions; first filtered, then smoothed results.
+
+    `known` are runs with their audits, by configuration, that need not be fused again; of use without smoothing.
 
     Audits take most of a run's memory. Unless `asked.audits`, they are freed as soon as the run is judged; with
     `draws` the parts that figures need are kept.
@@ -140,8 +147,9 @@ def compare_log(
     drawn = Drawn()
     for c in configurations:
         progress(f"fusing {c.name}")
+        run = (known or {}).get(c.name)
         solve = frozenset(c.sensors) in solves and not c.rates
-        (first, *after), residuals = _judged(c, loaded, asked, solve, drawn if draws else None)
+        (first, *after), residuals = _judged(c, loaded, asked, solve, drawn if draws else None, run)
         filtered.append(first)
         runs += residuals
         smoothed += after if c.is_smoothed(asked, robot) else []
@@ -215,17 +223,23 @@ def _effect(
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, drawn: Drawn | None = None
+    c: Configuration,
+    loaded: Loaded,
+    asked: Asked,
+    solve: bool = False,
+    drawn: Drawn | None = None,
+    known: Estimates | None = None,
 ) -> tuple[list[JudgedRun], list[RunInnovations]]:
     """Fuse and judge one configuration; also smooth it if the smoothed path is shown, or with `solve`.
 
     Returns the filtered and the smoothed run, and the residuals that show the noise of the sensors. `solve` is for
-    references.
+    references. `known` is the filter's run with its audits, if there is one.
     """
     drive, robot = c.drive(loaded.drive), loaded.robot
     judged, runs = list[JudgedRun](), list[RunInnovations]()
     shown = c.is_smoothed(asked, robot)
-    for e in c.fuse(loaded.drive, robot, shown or solve):
+    whole = shown or solve
+    for e in c.fuse(loaded.drive, robot, whole) if known is None or whole else (known,):
         evaluation = evaluate(e, drive, cast("Align", asked.align))
         if drawn is not None and (shown or not e.smoothed):
             drawn.take(e)

@@ -52,16 +52,19 @@ class Configuration(msgspec.Struct, frozen=True):
 
         return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
-    def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
+    def fuse(
+        self, drive: Drive, robot: Robot, smooth: bool = False, filtered: Estimates | None = None
+    ) -> tuple[Estimates, ...]:
         """Run the filter, and with `smooth` the smoother. Returns (filtered,) or (filtered, smoothed).
 
+        The smoother may use `filtered`, the same run of the filter with its audits, in place of another one.
         Raises UsageError if the filter to be smoothed does not use the optimal gain.
         """
         found: tuple[Estimates, ...]
         if smooth:
             from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
-            found = filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+            found = filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name, filtered)
             if not np.isfinite(whole.pose).all():
                 found = (replace(filtered, notes=(*filtered.notes, NOT_SMOOTHED)),)
         else:

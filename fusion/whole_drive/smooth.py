@@ -84,14 +84,21 @@ def why_not_smoothed(robot: Robot, sensors: Sequence[str]) -> UsageError | None:
 
 
 def fuse_and_smooth(
-    drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None
+    drive: Drive,
+    robot: Robot,
+    sensors: Sequence[str],
+    name: str | None = None,
+    known: Estimates | None = None,
 ) -> tuple[Estimates, Estimates]:
-    """Run the filter and the smoother: (filtered, smoothed). Raises UsageError if the gain is not optimal."""
+    """Run the filter and the smoother: (filtered, smoothed). Raises UsageError if the gain is not optimal.
+
+    If `known`, the filter's run with its audits, is given, the graph needs no other run.
+    """
     check_smoothing(robot, sensors)
     notes: tuple[str, ...] = ()
     if may_have_loops(drive, robot, sensors):
         # without events: they are large, and only the smoother needs them
-        filtered = fuse(drive, robot, sensors, name)
+        filtered = fuse(drive, robot, sensors, name) if known is None else known
         try:
             graph = whole_drive(drive, robot, sensors, filtered)
             if graph is not None and graph.is_needed(filtered):

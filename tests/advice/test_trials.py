@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from present import present
 
 from locfuse.cli.advice import evaluator
 from locfuse.cli.advice.evaluator import on_the_whole_drive, smoothed_worse, standard
@@ -97,6 +99,31 @@ def test_the_noise_and_the_point_of_the_truth_are_judged_by_the_run_that_is_know
     sets = ("truth.x=0.02", "truth.sigma=0.01")
     assert one(sets, [*several]) == other(sets, [*several])
     assert (one.fusions, other.fusions) == (0, 2)
+
+
+def test_a_log_is_not_fused_again_under_settings_that_move_no_estimate() -> None:
+    """Of a look, of a trial and of a probe: the runs are the same, whatever the truth's noise is."""
+    several = {c.name: c for c in standard(load("rounded_rectangle").loaded) if c.name in {"odometry", "compass"}}
+    one, other = (Trial(load("rounded_rectangle").loaded, several, "none", silent) for _ in range(2))
+    moving, noise = ("compass.offset_deg=3", "wheels.noise=0.001"), ("truth.sigma=0.02",)
+    assert one(moving, [*several])["compass"] != one(moving[:1], [*several])["compass"]
+    assert one.fusions == 4
+    assert one((*reversed(moving), *noise), [*several]) == other((*moving, *noise), [*several])
+    assert set(one.complete((*moving, *noise))) == {"odometry", "compass"}
+    again, new = (present(t.run((*noise, *moving), "compass")) for t in (one, other))
+    assert np.array_equal(again.pose, new.pose)
+    assert len(again.audits["compass"].nis) > 0
+    assert (one.fusions, other.fusions) == (4, 2)
+
+
+def test_only_the_newest_runs_are_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("locfuse.cli.advice.trial.MAX_STORED_RUNS", 2)
+    loaded = load("rounded_rectangle").loaded
+    one = Trial(loaded, {c.name: c for c in standard(loaded) if c.name == "odometry"}, "none", silent)
+    fixes: list[tuple[str, ...]] = [(f"wheels.noise={noise}",) for noise in (0.001, 0.002, 0.003)]
+    for some in fixes:
+        one(some, ["odometry"])
+    assert [one.stored("trying", some, "odometry") is None for some in fixes] == [True, False, False]
 
 
 # --- two faults that hide each other: a fix that helps only beside another one. Scores are written by hand

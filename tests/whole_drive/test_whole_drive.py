@@ -134,6 +134,18 @@ def test_where_matches_fix_no_poses_the_backward_pass_smooths_and_says_so(monkey
     assert found.notes[-1] == f"smoothing: no loop was closed: {fault}"
 
 
+def test_a_run_of_the_filter_that_is_known_is_smoothed_as_a_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive, _, _ = solved()
+    filtered, found = smooth.fuse_and_smooth(drive, robot(), ["lrf"])
+    monkeypatch.setattr(pose_graph.Graph, "is_needed", lambda *_: True)
+    monkeypatch.setattr(smooth, "fuse", None)  # it is not called
+    same, again = smooth.fuse_and_smooth(drive, robot(), ["lrf"], known=filtered)
+    assert same is filtered
+    assert again.smoothed
+    if found.loops.size:  # it was the graph's too
+        assert np.array_equal(again.pose, found.pose)
+
+
 @pytest.mark.parametrize("wrong", [(6.0, 0.0, 0.0), (0.0, 0.0, np.pi), (0.0, -3.0, 0.4)])
 def test_a_place_that_was_recognised_wrongly_bends_nothing(wrong: tuple[float, float, float]) -> None:
     drive, truth, graph = solved()

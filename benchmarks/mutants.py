@@ -34,6 +34,7 @@ fusion/ekf/events: whole_drive/smooth tune/tune
 fusion/ekf/map_frame: ekf/ekf
 fusion/kernels/ekf: ekf fusion/fuse
 fusion/kernels/line_fits: kernels/line_fits lines/lines
+fusion/kernels/nearest: kernels/nearest
 fusion/kernels/places: map/places kernels/line_fits kernels/sight
 fusion/kernels/segments: kernels/line_fits lines/lines
 fusion/kernels/sight: kernels/sight map/line_map sensors/lrf

@@ -2,8 +2,7 @@
 
 The surface at a point is the line fitted to the points of neighbouring beams, if they lie on a line. In a corridor
 the points do not constrain the position along it, so a prior from wheel odometry is needed (Censi 2008, "An ICP
-variant using a point-to-line metric"). One search tree finds the nearest points of all pairs: each cloud has its
-own layer in the tree, far from all others.
+variant using a point-to-line metric").
 
 The pose of a pair of clouds (i, j) is that of cloud j in the frame of cloud i, (x, y, theta). Its information is
 also in the frame of i.
@@ -20,6 +19,8 @@ from msgspec.structs import astuple
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements, consecutive, totals
+from locfuse.fusion.kernels import nearest
+from locfuse.fusion.kernels.arrays import view
 
 MAX_BEAMS = 360  # largest number of matched beams of a scan: more take time, without a better match
 NEIGHBOUR_BEAMS = 3  # a surface is fitted to this many beams on each side
@@ -115,17 +116,20 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
     usual = _median_of_each(step / np.maximum(0.5 * (ranges[1:] + ranges[:-1]), 0.1), owner[1:])
     joined = (step < np.maximum(MAX_GAP_M, GAP_SPACINGS * usual * ranges[1:])) & (owner[1:] == owner[:-1])
     piece = totals(~joined)
-    n, sums, squares = np.zeros(m), np.zeros((m, 2)), np.zeros((m, 3))
-    at = np.arange(m)
-    for shift in range(-NEIGHBOUR_BEAMS, NEIGHBOUR_BEAMS + 1):
-        j = np.clip(at + shift, 0, m - 1)
-        ours = (piece[j] == piece) & (j == at + shift)
-        d = np.where(ours[:, None], xy[j] - xy, 0.0)
-        n += ours
-        sums += d
-        squares += d[:, [0, 0, 1]] * d[:, [0, 1, 1]]
-    mean = sums / n[:, None]
-    xx, xyv, yy = (squares / n[:, None] - mean[:, [0, 0, 1]] * mean[:, [0, 1, 1]]).T
+    n, sum_x, sum_y, sum_xx, sum_xy, sum_yy = sums = np.zeros((6, m))
+    n += 1.0  # the point itself
+    for shift in range(1, min(NEIGHBOUR_BEAMS, m - 1) + 1):
+        ours = piece[shift:] == piece[:-shift]
+        x, y = (np.where(ours, column[shift:] - column[:-shift], 0.0) for column in xy.T)
+        sums[0, :-shift] += ours
+        sums[0, shift:] += ours
+        for total, part, sign in zip(
+            sums[1:], (x, y, x * x, x * y, y * y), (-1.0, -1.0, 1.0, 1.0, 1.0), strict=True
+        ):
+            total[:-shift] += part
+            total[shift:] += sign * part
+    mean_x, mean_y = sum_x / n, sum_y / n
+    xx, xyv, yy = sum_xx / n - mean_x * mean_x, sum_xy / n - mean_x * mean_y, sum_yy / n - mean_y * mean_y
     half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xyv)
     along = 0.5 * np.arctan2(2.0 * xyv, xx - yy)
     thin = np.maximum(half - apart, 0.0)
@@ -175,8 +179,7 @@ def thinned(clouds: Clouds) -> Clouds:
     return clouds.kept(rows[np.sort(unique)])
 
 
-LAYER_M = 1e4  # distance of the layers of two clouds in the search tree
-NOWHERE_M = 1e6  # coordinate that is out of reach of all points
+LAYER_M = 1e4  # distance of two clouds in a search tree
 RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # largest distance of matched points in each iteration
 SIGMA_M = 0.03  # standard deviation of a point's distance from its line
 DEPENDENT_POINTS = 16.0  # errors of neighbouring points are correlated: this many points count as one
@@ -207,25 +210,35 @@ class Matches(Columns, frozen=True):
 
 
 class Targets:
-    """Clouds to which other clouds are matched: their surface points in one search tree."""
+    """Clouds to which other clouds are matched: their surface points, sorted for a search.
+
+    Interpreted, the kernel would be slow, so a search tree takes its place, with a layer for each cloud.
+    """
 
     def __init__(self, clouds: Clouds) -> None:
-        from scipy.spatial import cKDTree
-
         rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
-        self.xy, self.normal, layer = clouds.xy[rows], clouds.normal[rows], LAYER_M * clouds.owner[rows]
-        if not len(rows):  # an empty tree is not possible, so add a surface that is out of reach
-            self.xy, self.normal, layer = np.full((1, 2), NOWHERE_M), np.zeros((1, 2)), np.zeros(1)
-        self._tree = cKDTree(np.column_stack((self.xy, layer)))
+        self.xy, self.normal, owner = clouds.xy[rows], clouds.normal[rows], clouds.owner[rows]
+        self._rows = self._tree = None
+        if nearest.COMPILED:
+            self._rows = nearest.cloud_rows(self.xy, owner, len(clouds))
+        elif len(rows):
+            from scipy.spatial import cKDTree
 
-    def nearest(self, xy: Array, clouds: Ints, reach: float) -> tuple[Array, Ints]:
-        """Return distance and row of the nearest surface point in cloud `clouds` (m,), for points (m, 2).
+            self._tree = cKDTree(np.column_stack((self.xy, LAYER_M * owner)))
 
-        The distance is inf if there is none within `reach` [m].
+    def nearest(self, xy: Array, clouds: Ints, reach: float) -> Ints:
+        """Return the row of the nearest surface point in cloud `clouds` (m,), for points (m, 2).
+
+        It is -1 if there is none within `reach` [m].
         """
-        places = np.column_stack((xy, LAYER_M * clouds))
-        distance, row = self._tree.query(places, distance_upper_bound=reach, workers=1)
-        return distance, np.minimum(row, len(self.xy) - 1)
+        row = np.full(len(xy), -1, np.intp)
+        if self._rows is not None:
+            nearest.find_nearest(self._rows, view(xy), view(clouds, np.intp), reach, row)
+        elif self._tree is not None:
+            places = np.column_stack((xy, LAYER_M * clouds))
+            row = self._tree.query(places, distance_upper_bound=reach, workers=1)[1]
+            row[row == len(self.xy)] = -1
+        return row
 
 
 def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
@@ -283,6 +296,11 @@ def _match(
     return Matches(pose, alone, information, *last.quality(np.diff(sources.first)[j]))
 
 
+def _turned(c: Array, s: Array, v: Array) -> Array:
+    """Return vectors v (k, 2) turned by angles with cosine c and sine s, (k,) each."""
+    return np.column_stack((c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1]))
+
+
 class _PointPairs(msgspec.Struct, frozen=True):
     """Matched points of all pairs of clouds; points without a point within reach are left out."""
 
@@ -294,17 +312,18 @@ class _PointPairs(msgspec.Struct, frozen=True):
     @classmethod
     def made(cls, targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> _PointPairs:
         rows, of = sources.rows(j)
-        turn = pose[of, 2]
-        arm = se2.rotated(turn, sources.xy[rows])
+        c, s = np.cos(pose[:, 2])[of], np.sin(pose[:, 2])[of]
+        arm = _turned(c, s, sources.xy[rows])
         at = arm + pose[of, :2]
-        distance, partner = targets.nearest(at, i[of], reach)
-        near = np.isfinite(distance)
-        own = se2.rotated(turn, sources.normal[rows])
-        normal = targets.normal[partner]
+        partner = targets.nearest(at, i[of], reach)
+        near = np.flatnonzero(partner >= 0)
+        partner = partner[near]
+        own, normal = _turned(c[near], s[near], sources.normal[rows[near]]), targets.normal[partner]
         with np.errstate(invalid="ignore"):
             other_side = (own * normal).sum(axis=1) < MIN_FACING  # False for a point without its own surface
-        near &= ~other_side
-        of, arm, at, normal, partner = of[near], arm[near], at[near], normal[near], partner[near]
+        same = np.flatnonzero(~other_side)
+        near, normal, partner = near[same], normal[same], partner[same]
+        of, arm, at = of[near], arm[near], at[near]
         e = ((at - targets.xy[partner]) * normal).sum(axis=1)
         by_turn = normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1]
         return cls(len(i), of, e, np.column_stack((normal, by_turn)))

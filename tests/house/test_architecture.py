@@ -29,8 +29,8 @@ DRAWS_IN_RERUN = {  # imported by formats/rerun/recording.py, inside its functio
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
         "data progress se2",
-        "geodesy kernels scan_matching statistics streams",
-        "camera sensor",
+        "geodesy kernels statistics streams",
+        "camera scan_matching sensor",
         "ekf lines mount robot",
         "wheels",
         "map truth",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .data import Array, ArrayStream, Block, Column, Ints, LocfuseError, Mask, Ragged, Stream, stretches, totals
 
-MAX_LATENCY_S = 0.5  # from measuring to recording a message
+MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 MIN_GAP_S, GAP_PERIODS = 0.5, 5.0  # a gap is longer than both: s, median periods
 MIN_BLANK_STEPS = 20.0  # median steps: from a larger value, a step to zero is no motion
 # least readings to compare; largest ratio of the change over two readings to that over one (one source: 1 to 2)
@@ -109,13 +109,13 @@ def outside(t: Array, of_drive: Array, role: str, offset: float, recorded: float
 def recorded_apart(stream: Any, of_drive: Any) -> float | None:
     """Return the offset [s] of a stream's stamps from the drive's by recording times; None if unknown.
 
-    Below MAX_LATENCY_S it is the time to process a message, and both have one clock: 0.
+    Below MAX_DELAY_S it is the time to process a message, and both have one clock: 0.
     """
     delays = [getattr(parts_of(one)[0], "delay_s", None) for one in (stream, of_drive)]
     if delays[0] is None or delays[1] is None:
         return None
     apart = float(delays[0] - delays[1])
-    return 0.0 if abs(apart) < MAX_LATENCY_S else apart
+    return 0.0 if abs(apart) < MAX_DELAY_S else apart
 
 
 def count_dropped(dropped: dict[str, int], **unused: Any) -> None:

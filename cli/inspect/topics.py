@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from locfuse.cli.analysis.topics import Choice
-from locfuse.formats.logs.clock import MAX_DELAY_S, RowTimes
+from locfuse.formats.logs.clock import RowTimes
 from locfuse.formats.logs.log import Log, UnreadableTopicError
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding
@@ -18,7 +18,7 @@ from locfuse.fusion.checks.raw_data import PUBLISHERS
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import seconds
+from locfuse.fusion.streams import MAX_DELAY_S, seconds
 
 MAX_GAPS_LISTED = 20  # in JSON
 MIN_MESSAGES = 3  # for a rate

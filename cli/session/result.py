@@ -18,7 +18,6 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.robot_tables import files_of
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
 from locfuse.cli.analysis.verdicts import credit_values
-from locfuse.formats.logs.clock import MAX_DELAY_S
 from locfuse.formats.report import json_report, table, tables
 from locfuse.formats.report.findings import notes_of, void_reasons
 from locfuse.formats.results import trajectory as to
@@ -33,6 +32,7 @@ from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
 from locfuse.fusion.statistics import chi_square
+from locfuse.fusion.streams import MAX_DELAY_S
 from locfuse.fusion.wheels.motion import WHEEL_STATES
 
 from .python_words import in_python, speaks_python

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from numpy.lib.stride_tricks import sliding_window_view
 
 from locfuse.fusion.data import Array, ArrayStream, Ints, LocfuseError, Mask, totals
+from locfuse.fusion.streams import MAX_DELAY_S
 
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
@@ -30,7 +31,6 @@ JUMP_NS, STEP_NS, MIN_EVEN_STEPS = 10 * 10**9, 10**9, 10
 # ns, messages: a smaller difference counts if it stays over so many messages before and after it
 LASTING_NS, LASTING_MESSAGES = 250 * NS_PER_MS, 20
 MIN_PIECE_SHARE = 0.25  # share of messages; a smaller piece on the recording's clock is not preferred
-MAX_DELAY_S = 1.0  # a larger difference of stamp and recording time means two clocks, not a delay
 # small message types with headers that most logs have; their stamps show which clock is used
 SMALL_TYPES = (
     "nav_msgs/msg/Odometry",

@@ -375,7 +375,7 @@ def _area(split: ET.Element, mode: str, curves: Sequence[tuple[ShownTopic, dict[
 
 RECOVERY_RECORD = "locfuse recover"  # name of the metadata record
 CLOCKLESS_LOG_NS = 0  # log time of a message from before 1970
-END_OF_TIME = 2**63 - 1  # ns
+MAX_STAMP_NS = 2**63 - 1
 
 
 class Recovered(msgspec.Struct, frozen=True):
@@ -427,8 +427,8 @@ def copy_messages(writer: Any, log: Log) -> Counter[str]:
             channels[key] = writer.register_channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
         ends = (messages.start + messages.length).tolist()
         payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
-        log_time = messages.log_time.clip(CLOCKLESS_LOG_NS, END_OF_TIME)
-        published = messages.published.clip(CLOCKLESS_LOG_NS, END_OF_TIME)
+        log_time = messages.log_time.clip(CLOCKLESS_LOG_NS, MAX_STAMP_NS)
+        published = messages.published.clip(CLOCKLESS_LOG_NS, MAX_STAMP_NS)
         add_messages(writer, channels[key], log_time, messages.sequence, payload, published)
         counts[channel.topic] += len(messages.start)
     return counts

@@ -21,7 +21,7 @@ from rows import one_by_one, said
 
 import locfuse as api
 from locfuse.formats.whole_files import write_results
-from locfuse.fusion.camera import images
+from locfuse.fusion.camera import detect, images
 from locfuse.fusion.camera.images import image_size
 from locfuse.fusion.camera.opencv import listened, reports_damage
 from locfuse.fusion.checks.preview import preview
@@ -37,6 +37,16 @@ POSES = [(0.0, 0.0, 0.0), (3.0, 2.0, 1.0), (4.0, 3.0, -math.pi / 2), (9.0, 1.0, 
 POSES += [(4.2, 1.1, -3.0), (3.7, 1.0, 40.0)]
 NO_WHEELS: Any = None  # the camera asks nothing of them
 MOUNTS = [((0.0, 0.0), 0.0), ((0.1, -0.05), 0.4), ((-0.3, 0.2), 3.1)]
+
+
+@pytest.mark.parametrize(("gap_px", "objects"), [(1.9, 1), (2.1, 2)])
+def test_red_pixels_are_one_object_up_to_a_gap_of_two_pixels(gap_px: float, objects: int) -> None:
+    """Along the circle, at any radius; also where the angle wraps."""
+    for begin in (0.5, math.pi - 0.03):
+        for radius in (50.0, 200.0):
+            theta = wrap_all(begin + np.array([0.0, 1.0, 2.0, 2.0 + gap_px, 3.0 + gap_px]) / radius)
+            pixels = np.stack((theta, np.full(5, radius), np.ones(5), np.zeros(5)))
+            assert len(detect._objects(pixels)) == objects
 
 
 def coded(shot: NDArray[Any], ending: str = ".jpg") -> bytes:

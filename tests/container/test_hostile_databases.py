@@ -311,6 +311,15 @@ def test_the_cap_of_records_counts_what_the_file_holds(tmp_path: Path) -> None:
     assert f"a chunk unpacks to more than {most_records(packed)} records, the cap for its size" in found
 
 
+def test_thousands_of_empty_records_are_read_however_small_their_chunk_is(tmp_path: Path) -> None:
+    path = tmp_path / "f.mcap"
+    path.write_bytes(START + chunk(EMPTY_MESSAGE * 4000))
+    assert len(chunk(EMPTY_MESSAGE * 4000)) < 1000
+    found = open_log([path]).losses.by_reason()
+    assert found["messages of an undefined channel"]["messages"] == 4000
+    assert not any("unpacks to more" in reason for reason in found)
+
+
 def holes(n: int) -> bytes:
     """Empty chunks with a bad byte behind each."""
     return START + (struct.pack("<BQQQQIIQ", 6, 40, 0, 0, 0, 0, 0, 0) + b"\0") * n

@@ -370,6 +370,16 @@ def test_in_a_file_without_chunks_damage_ends_where_three_records_follow_each_ot
     assert times(tmp_path, data)[0] == [1, 2, 4, 5, 6, 7]
 
 
+BEYOND_THE_END = struct.pack("<BQH", MESSAGE, 1 << 20, 1)
+
+
+@pytest.mark.parametrize("behind", [bytes(9), struct.pack("<BQ", DATA_END + 1, 0), BEYOND_THE_END])
+def test_bytes_that_look_like_two_messages_are_none_if_no_record_follows(tmp_path: Path, behind: bytes) -> None:
+    before, after = (b"".join(message(1, t, b"p" * 10) for t in some) for some in ((1, 2, 3), (4, 5, 6, 7)))
+    data = FRONT + before + GARBAGE + message(1, 99, b"") * 2 + behind + after + END + NO_SUMMARY
+    assert times(tmp_path, data)[0] == [1, 2, 4, 5, 6, 7]
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_damage_may_end_at_the_last_messages_before_the_end(tmp_path: Path, n: int) -> None:
     """Three records in a row, or fewer and the end mark."""

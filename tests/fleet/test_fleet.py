@@ -29,7 +29,7 @@ from locfuse.cli.fleet.jobs import Job, JobOutcome
 from locfuse.cli.fleet.queue import QueueState, duration, run_all
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
-from locfuse.fusion.data import UsageError
+from locfuse.fusion.data import LocfuseError, UsageError
 
 ONE = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,csv", "-q")
 
@@ -271,9 +271,10 @@ def test_lists_patterns_and_folders_name_logs(logs: list[Path], tmp_path: Path) 
         (folder / file).write_text(text)
         shutil.copy(logs[0], folder / "estimates.mcap")
     assert expanded([], [str(tmp_path)]) == [str(bag)]
-    for words in (["*.nothing"], [f"@{tmp_path / 'robot.toml'}"]):
-        with pytest.raises((UsageError, Exception), match=r"nothing fits|cannot be read"):
-            expanded(words)
+    with pytest.raises(UsageError, match="nothing fits"):
+        expanded(["*.nothing"])
+    with pytest.raises(LocfuseError, match="cannot be read"):
+        expanded([f"@{tmp_path / 'robot.toml'}"])
 
 
 @pytest.mark.usefixtures("jobs_in_this_process")

@@ -95,6 +95,19 @@ def test_images_of_many_sizes_are_gathered_after_one_walk(little: bool, monkeypa
     assert cut.bad == {"shorter than its type": 1, "longer than its type": 1}
 
 
+def test_a_layout_that_was_used_lately_is_not_walked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("locfuse.formats.messages.cdr.MAX_LAYOUTS", 2)
+    walked = walks(monkeypatch)
+    kind = "sensor_msgs/msg/CompressedImage"
+    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
+    counts = []
+    for name in ("jpeg", "jpeg", "a long name", "jpeg", "a longer name, 24 bytes", "jpeg", "a long name"):
+        decoded = decode(decoder, [cdr(kind, header=header(0), format=name, data=[1, 2])] * 2, ["format", "data"])
+        assert decoded.columns["data"] == [b"\1\2"] * 2
+        counts.append(len(walked))
+    assert counts == [1, 1, 2, 2, 3, 3, 4]  # the last one was put out by a layout that is used more often
+
+
 def test_numbers_at_the_end_of_a_message_may_differ_in_length(monkeypatch: pytest.MonkeyPatch) -> None:
     walked = walks(monkeypatch)
     kind = "std_msgs/msg/Float64MultiArray"

@@ -464,6 +464,7 @@ def plausible(values: Array) -> Mask:
 PLANE_ROWS = (0, 1, 5)  # rows of x, y and yaw in a 6 x 6 covariance of x, y, z, roll, pitch, yaw
 ODOMETRY, BY_SCANS = "odometry", "scan matching"  # configurations without a sensor: by wheels, by scans alone
 BASES = (ODOMETRY, BY_SCANS)
+LASER = "lrf"  # name of the laser range finder; if there are no wheels, its scans give the motion
 
 
 def stretches(flags: Mask) -> list[tuple[int, int]]:

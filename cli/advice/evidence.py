@@ -45,13 +45,13 @@ from locfuse.fusion.checks.tracked_point import AHEAD, CREEP, POINT, YAW, of_poi
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, by_key, keys, together
 from locfuse.fusion.checks.truth import AXES, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
 from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED, turnings
-from locfuse.fusion.data import BASES
+from locfuse.fusion.data import BASES, LASER
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
 from locfuse.fusion.judge.innovations import compare_readings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
-from .judged import LASER, UNREMARKABLE, NoiseFindings, as_fixes
+from .judged import UNREMARKABLE, NoiseFindings, as_fixes
 
 TRIED_SIGMAS = 2.5  # standard deviations of a time lag: a larger lag is tried
 MIN_AGAIN_S = 0.005  # smallest lag to fix, after an earlier fix has set a time offset

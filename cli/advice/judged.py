@@ -23,7 +23,7 @@ from locfuse.fusion.checks.slip import WheelSlip, beside_path, slip
 from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys
 from locfuse.fusion.checks.truth import FEW
-from locfuse.fusion.data import BASES, Estimates
+from locfuse.fusion.data import BASES, LASER, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, judge, many_refused
 from locfuse.fusion.judge.evaluate import covariance_check
 from locfuse.fusion.judge.innovations import OwnInnovations, own
@@ -32,7 +32,6 @@ from locfuse.fusion.truth import poses_at
 
 from .trial import Trial
 
-LASER = "lrf"
 SHARED_ROLES = {"wheels", "start", "truth"}  # roles whose settings change every configuration
 WORTH_TRYING = Least(0.005, 2.0)  # least size of a fault to try a fix
 UNREMARKABLE = {"consistent", "unclear"}  # verdicts on residuals that need no fix

@@ -17,9 +17,9 @@ from locfuse.cli.analysis.configurations import Configuration, fuser
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.settings import Asked, Progress
 from locfuse.fusion.checks.tried import Fixes, Marks, keys
-from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
+from locfuse.fusion.data import LASER, Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.evaluate import Align, covariance_check, evaluate, shape_error
-from locfuse.fusion.judge.without_truth import LASER, OwnScans, listeners, mean_density
+from locfuse.fusion.judge.without_truth import OwnScans, listeners, mean_density
 from locfuse.fusion.measure import windowed
 
 MAX_INSTANTS = 2400  # update times: 4 min of a 10 Hz laser

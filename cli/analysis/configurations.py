@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.text import did_you_mean
-from locfuse.fusion.data import BASES, Drive, Estimates, LocfuseError, UsageError
+from locfuse.fusion.data import BASES, LASER, Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name, fuse
 from locfuse.fusion.judge.credit import subsets
 from locfuse.fusion.measure import thinned
@@ -21,7 +21,6 @@ from .errors import has_scipy
 from .settings import Asked
 
 RATE_PATTERN = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
-LASER = "lrf"
 NOT_SMOOTHED = "not smoothed: the numbers of its map or of robot.toml span too many powers of ten"
 MAX_SUBSET_SENSORS = 6  # sensors: 64 subsets
 Sensors = str | Iterable[str]  # of one configuration

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements, Stream, Truth, changes
+from locfuse.fusion.data import LASER, Array, Drive, Estimates, Ints, Measurements, Stream, Truth, changes
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.statistics import jackknife, robust_sigma
@@ -56,7 +56,6 @@ PREFERENCE_COST = {"truth": 0.1, "wheels": 0.2}
 EARLY_COST = 0.5  # the same for one early clock: stamps are taken after the measurement, so most are late
 NEAR_CHI2 = 4.0  # explanations whose chi-square differs by less are equally good
 CLOCK = "lag"  # code of the finding on a wrong clock
-LASER = "lrf"
 MAX_WRONG = 3  # largest number of wrong clocks in one log
 UNEVEN = "uneven"  # code of the finding that stamps scatter about an even clock
 EQUAL = "equal stamps"  # code of the finding that messages of a topic share their stamps

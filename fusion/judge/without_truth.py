@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Audit, Drive, Estimates, Ints, Mask
+from locfuse.fusion.data import LASER, Array, Audit, Drive, Estimates, Ints, Mask
 from locfuse.fusion.mount import found_mount
 
 from .bootstrap import block_means
@@ -32,7 +32,6 @@ from .bootstrap import block_means
 OUTLIER_SHARE = 0.05  # probability of an outlier with any value, so that a single outlier does not decide
 MIN_GAIN_NATS = 0.02  # nats per number: a smaller gain counts as no gain
 BLOCK_S = 5.0  # s: readings in different blocks count as independent
-LASER = "lrf"  # without wheels, its scans give the motion
 STRETCH_S = 5.0  # s: length of an interval in which a sensor of the configuration listens
 
 

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.checks.lag import worth_saying
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements, evenly, spaced
+from locfuse.fusion.data import LASER, Array, Drive, Estimates, Ints, MapLine, Measurements, evenly, spaced
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.match import Clouds, Matches, Targets, clouds_of, match, sources_of
@@ -31,7 +31,6 @@ from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised, submaps_of
 from .odometry import Odometry, OdometryErrors, add_lever_arm, bridged, errors_at_scans, odometry_of
 from .others import Others
 
-LASER = "lrf"
 MIN_KEYS = 10
 KEY_DISTANCE_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # path length or turn between two keys
 START_FLOOR_P = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: least covariance of the start pose

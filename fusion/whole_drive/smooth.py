@@ -19,6 +19,7 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import (
+    LASER,
     Array,
     Drive,
     Estimates,
@@ -46,7 +47,7 @@ from locfuse.fusion.mount import mount_blocks
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import WHEELS
 
-from .pose_graph import LASER, Graph, may_have_loops, whole_drive
+from .pose_graph import Graph, may_have_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
 MAX_WALLS = 300  # of a given map: each is two states, and an update costs the square of their number

@@ -28,7 +28,7 @@ from locfuse.fusion.checks.clocks import (
     start_kept,
     wrong_clocks,
 )
-from locfuse.fusion.checks.compass import ROOM, of_offset_by_truth
+from locfuse.fusion.checks.compass import ROOM, of_moving_offset
 from locfuse.fusion.checks.examine import CARRIED, HELD, scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
@@ -443,7 +443,7 @@ class Evidence(NoiseFindings):
         found = [
             *positions.of_claims(drive, robot),
             *of_rest_noise(drive, robot),
-            *of_offset_by_truth(drive, robot),
+            *of_moving_offset(drive, robot, next(iter(self.runs_alone(LASER)), None)),
         ]
         return [self._candidate(f, (f.fixes,)) for f in found if self.judges(f.role)]
 

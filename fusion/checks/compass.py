@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Stream
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.compass import CompassSettings, from_number
@@ -159,7 +159,7 @@ def angles(up: Array) -> tuple[int, int]:
     return (180 if round(roll) == -180 else round(roll)), round(pitch)
 
 
-MIN_ERROR_DEG, SEVERE_ERROR_DEG = 1.0, 5.0  # rms over a turn
+MIN_ERROR_DEG, SEVERE_ERROR_DEG = 1.0, 5.0  # rms over a turn; the first also of an offset that moves
 MIN_FITTED, PARTS = 50, 8  # readings that are fitted by the truth; parts of the jackknife
 MIN_SIGMAS = 5.0  # standard errors of the circle's centre
 ROOM, TOLERANCE = "iron in the room", 0.05  # code of the finding; its value for compass.field_tolerance
@@ -227,18 +227,28 @@ def _iron_by_truth(field: Array, t: Array, drive: Drive) -> Iron | None:
 
 
 MOVES = "offset moves"  # code of the finding
+MOVERS = "iron, its mount, or the gyro in it"  # which move an offset
 PART_COUNT, WANDER_S = 8, 2.0  # parts of the drive; s over which errors are correlated
 MIN_IN_PART = 10  # readings
-MIN_MOVE_DEG, MOVE_SIGMAS = 3.0, 4.0  # smallest reported change of the offset; standard errors
+MOVE_SIGMAS = 4.0  # standard errors of the change of the offset
 
 
-def of_offset_by_truth(drive: Drive, robot: Robot) -> list[Finding]:
-    """Return a finding if the compass offset moves or steps during the drive, by the truth's headings."""
+def of_moving_offset(drive: Drive, robot: Robot, path: Estimates | None = None) -> list[Finding]:
+    """Return a finding if the compass offset moves or steps during the drive, by the truth's headings.
+
+    Without truth the headings are those of `path`, the laser's own run.
+    """
     m, truth, settings = drive.measurements.get("compass"), drive.truth, robot.settings("compass")
-    if m is None or truth is None or truth.theta is None or settings.offset_drift_deg:
+    if m is None or settings.offset_drift_deg:
         return []
-    inside = truth.spans(m.t)
-    t, theta = m.t[inside], np.interp(m.t[inside], truth.t, np.unwrap(truth.theta))
+    if truth is not None and truth.theta is not None:
+        known, by, inside = Headings(truth.t, np.unwrap(truth.theta)), "truth", truth.spans(m.t)
+    elif truth is None and path is not None:
+        known, by = Headings(path.t, path.pose[:, 2]), "laser's path"
+        inside = (m.t >= path.t[0]) & (m.t <= path.t[-1])
+    else:
+        return []
+    t, theta = m.t[inside], np.interp(m.t[inside], known.t, known.angle)
     if len(t) < MIN_FITTED or t[-1] - t[0] < PART_COUNT * WANDER_S:
         return []
     off = np.unwrap(np.unwrap(m.z[inside, 0]) - theta)
@@ -251,12 +261,12 @@ def of_offset_by_truth(drive: Drive, robot: Robot) -> list[Finding]:
     kept = np.flatnonzero(np.bincount(part, minlength=PART_COUNT) >= MIN_IN_PART)
     offsets = np.degrees(x[kept])
     steps, most = np.diff(offsets), float(np.ptp(offsets))
-    if len(steps) == 0 or most < MIN_MOVE_DEG + MOVE_SIGMAS * sigma:
+    if len(steps) == 0 or most < MIN_ERROR_DEG + MOVE_SIGMAS * sigma:
         return []
     i = int(np.argmax(np.abs(steps)))
     at = t[0] + kept[i + 1] * length
     when = f", most of it near {at:.0f} s" if abs(steps[i]) > 0.5 * most else ""
-    words = f"by the truth its offset moves by {most:.0f}° (1 sigma {sigma:.1g}°){when}: iron, or its mount"
+    words = f"by the {by} its offset moves by {most:.0f}° (1 sigma {sigma:.1g}°){when}: {MOVERS}"
     drift = math.sqrt(float(np.square(steps).mean()) / length)
     return [Finding("compass", MOVES, words, (f"compass.offset_drift_deg={drift:.2g}",))]
 

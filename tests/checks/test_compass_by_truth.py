@@ -8,9 +8,9 @@ from msgspec.structs import replace
 from rows import readings
 from small_drive import drive, path, robot
 
-from locfuse.fusion.checks.compass import of_iron, of_offset_by_truth
+from locfuse.fusion.checks.compass import of_iron, of_moving_offset
 from locfuse.fusion.checks.turning import of_turning
-from locfuse.fusion.data import Array, ArrayStream, Drive
+from locfuse.fusion.data import Array, ArrayStream, Drive, Estimates
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.compass import CompassSettings
 
@@ -58,19 +58,23 @@ def test_iron_is_found_by_the_truth_without_a_full_turn(hard: Array, soft: Array
     ("moved", "words"),
     [(0.0, ""), (20.0, "by the truth its offset moves by 20° (1 sigma 0."), (-20.0, "its offset moves by 20°")],
 )
-def test_an_offset_that_steps_is_found_by_the_truth(moved: float, words: str) -> None:
+def test_an_offset_that_steps_is_found_by_the_truth_or_the_laser(moved: float, words: str) -> None:
     (t, theta), (one, settings) = headings(1.0), beside(CompassSettings())
     z = theta + math.radians(30.0) + math.radians(moved) * (t > 27.0)
     z += math.radians(1.0) * np.random.default_rng(1).normal(size=len(t))
     seen = replace(one, measurements={"compass": readings(t, z[:, None], 0.02)})
-    found = of_offset_by_truth(seen, settings)
+    found = of_moving_offset(seen, settings)
     assert [words in f.message for f in found] == [True] * bool(moved)
     if moved:
         assert "most of it near 2" in found[0].message
         assert 2.0 < float(found[0].fixes[0].removeprefix("compass.offset_drift_deg=")) < 10.0
-    assert of_offset_by_truth(replace(seen, truth=None), settings) == []
+    blind, pose = replace(seen, truth=None), np.stack((t, t, theta), axis=-1)
+    assert of_moving_offset(blind, settings) == []
+    by_laser = of_moving_offset(blind, settings, Estimates("lrf", ("lrf",), t, pose, np.zeros((len(t), 6)), {}))
+    assert [f.fixes for f in by_laser] == [f.fixes for f in found]
+    assert all("by the laser's path its offset moves by 20°" in f.message for f in by_laser)
     drifting = replace(settings, sensors={"compass": CompassSettings(offset_drift_deg=1.0)})
-    assert of_offset_by_truth(seen, drifting) == []
+    assert of_moving_offset(seen, drifting) == []
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])

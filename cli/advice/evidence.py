@@ -35,7 +35,7 @@ from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
 from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
 from locfuse.fusion.checks.landmarks import CLOCKWISE
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
-from locfuse.fusion.checks.laser_ranges import OFFSET
+from locfuse.fusion.checks.laser_ranges import BEAM_ANGLES, OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
 from locfuse.fusion.checks.points import MAP, SCALE as RANGE_SCALE
 from locfuse.fusion.checks.slip import of_spins
@@ -70,6 +70,7 @@ KEYLESS = {
     OPEN_SCALE,
     CREEP,
     BUMP,
+    BEAM_ANGLES,
     SWAPPED,
     UNEVEN,
     CLOCKWISE,

@@ -27,7 +27,7 @@ from .finding import Finding, Least
 from .gyro import of_gyro, of_saturation
 from .landmarks import of_landmarks
 from .laser import BUMP, laser_motion, of_laser, of_radius, of_sweep
-from .laser_ranges import of_angles, of_limit, of_offset, of_range_unit, of_scatter, unreturned
+from .laser_ranges import of_angles, of_beam_angles, of_limit, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
 from .positions import of_positions
 from .raw_data import PUBLISHERS, STUCK, UNSIGNED, of_publishers, of_signs, of_stuck_wheel, of_wheel_unit
@@ -99,6 +99,7 @@ def examine(
     if "lrf" in drive.measurements:
         lrf = streams["lrf"], robot.settings("lrf")
         found += [*of_limit(*lrf), *of_scatter(*lrf), *of_offset(*lrf, least is not None)]
+        found += of_beam_angles(lrf[0], drive, robot.settings("lrf"))
     by_sensor = turnings(drive)
     turning = of_steering(drive, robot, streams["wheels"]) or of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)

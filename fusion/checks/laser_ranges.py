@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements, Ragged, Stream
+from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Measurements, Ragged, Stream
 from locfuse.fusion.lines.points import understood
 from locfuse.fusion.lines.scans import (
     MAX_BEAMS,
@@ -47,6 +47,12 @@ MAX_OFF_WALL_M = 0.1  # m: largest distance of the beams in between from a strai
 MIN_STRETCH_TRIPLES, STRETCH_COUNT = 200, 8  # in each stretch; stretches for the jackknife
 # limits of a finding: m; standard errors, without and with a trial of its fix
 MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS, TRIED_SIGMAS = 0.02, 0.03, 5.0, 3.0
+BEAM_ANGLES = "beam angles"  # code of the finding on the angle between beams
+# its limits: relative error (places near corners take part, which adds up to 0.007); its standard errors
+MIN_ANGLE_ERROR, ANGLE_SIGMAS = 0.015, 5.0
+MAX_TURNED_SHARE = (
+    0.002  # turn during a sweep / angle of the sweep: it changes the angle between beams by this share
+)
 SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
 MIN_DEGREES = 8.0 * math.pi  # rad: of beams that cover more, the angles are in degrees
 MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams
@@ -179,6 +185,37 @@ def of_offset(stream: Stream, settings: LrfSettings, tried: bool = False) -> lis
     return [Finding("lrf", OFFSET, words, (fix,), abs(add) > max(SEVERE_OFFSET_M, OFFSET_SIGMAS * sigma))]
 
 
+def of_beam_angles(stream: Stream, drive: Drive, settings: LrfSettings) -> list[Finding]:
+    """Return a finding if angle_increment makes straight walls look bent, in scans taken without turning.
+
+    A relative error e of the angle a between beams adds -2 e a sin(a) r0 r2 / (r0 + r2) to the bend of a wall.
+    That grows with the range, unlike the effect of a constant range error, so both are fitted together.
+    """
+    period, sampled = scan_period(stream.t_ns), []
+    for _, scans in (part for columns in _sample(stream, FIRST_SCANS) for part in equal_scans(columns)):
+        beams = scans["ranges"].shape[1]
+        start = (scans["t_ns"] - drive.epoch_ns) * 1e-9 + settings.time_offset
+        end = start + sweep_time(scans["time_increment"], beams, period)
+        turn = np.abs(drive.wheels.heading(end) - drive.wheels.heading(start))
+        straight = turn < MAX_TURNED_SHARE * beams * np.abs(scans["angle_increment"])
+        sampled.append({name: column[straight] for name, column in scans.items()})
+    laser = understood(laser_of(settings), sampled)
+    parts = [bends for scans in sampled for bends in _bends(*returns(scans, laser)) if len(bends)]
+    if sum(map(len, parts)) < MIN_TRIPLES or len(parts) < STRETCH_COUNT:
+        return []
+    error = float(_added(np.concatenate(parts))[1])
+    every = jackknife(lambda some: _added(np.concatenate([parts[i] for i in some])), len(parts), STRETCH_COUNT)
+    sigma = float(every[1])
+    if not abs(error) > max(MIN_ANGLE_ERROR, ANGLE_SIGMAS * sigma):
+        return []
+    step = float(np.median(np.concatenate([np.abs(scans["angle_increment"]) for scans in sampled])))
+    words = (
+        f"straight walls look bent as if angle_increment, {step:.6g} rad, were {abs(error):.1%} too "
+        f"{'small' if error > 0.0 else 'large'} (1 sigma {sigma:.1%}): correct it in the driver"
+    )
+    return [Finding("lrf", BEAM_ANGLES, words, severe=True)]
+
+
 def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] | None:
     """Return the range offset [m] that makes walls straight, and its sigma; None with too few walls.
 
@@ -194,19 +231,21 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
             return None
         if min(some.sum() for some in np.array_split([*map(len, parts)], STRETCH_COUNT)) < MIN_STRETCH_TRIPLES:
             return None
-        more = _added(np.concatenate(parts))
+        more = float(_added(np.concatenate(parts)[:, :2])[0])
         add += more
         if abs(more) < MIN_OFFSET_M:
             break
-    sigma = jackknife(lambda some: _added(np.concatenate([parts[i] for i in some])), len(parts), STRETCH_COUNT)
+    every = [bends[:, :2] for bends in parts]
+    sigma = jackknife(lambda some: _added(np.concatenate([every[i] for i in some])), len(every), STRETCH_COUNT)
     sweep = [np.abs(scans["time_increment"]) * scans["ranges"].shape[1] for scans in sampled]
-    return add, math.hypot(float(sigma), BENT_MPS * float(np.median(np.concatenate(sweep))))
+    return add, math.hypot(float(sigma[0]), BENT_MPS * float(np.median(np.concatenate(sweep))))
 
 
 def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
-    """Yield for each scan (n, 2): bends of walls [m], and their derivatives with respect to a range offset.
+    """Yield for each scan (n, 3): bends of walls [m], and their derivatives by a range offset and by angles.
 
-    `ranges` (k, b) [m] has one row per scan; n is the number of places on walls.
+    `ranges` (k, b) [m] has one row per scan; n is the number of places on walls. The second derivative is by a
+    relative error of the angle between beams; both have the sign of a correction.
     """
     step = float(np.abs(np.diff(angles, axis=-1)).mean())
     k = round(HALF_SPAN_RAD / step) if step > 0.0 else 0
@@ -225,19 +264,19 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
     left, right = ranges[:, 1 : 1 - 2 * k], ranges[:, 2 * k - 1 : -1]
     slope = 1.0 - 2.0 * math.cos(a) * (np.square(left) + np.square(right)) / np.square(left + right)
     one_wall &= np.isfinite(slope)
+    wider = 2.0 * a * math.sin(a) * left * right / (left + right)
     for row, on in enumerate(one_wall):
-        yield np.stack((bend[row, on], slope[row, on]), axis=-1)
+        yield np.stack((bend[row, on], slope[row, on], wider[row, on]), axis=-1)
 
 
-def _added(bends: Array) -> float:
-    """Return the range offset [m] that makes bends (n, 2) zero, by least squares without outliers."""
-    bend, slope = bends.T
-    add = 0.0
+def _added(bends: Array) -> Array:
+    """Return the k corrections that make bends (n, 1 + k) of `_bends` zero: least squares without outliers."""
+    bend, slopes = bends[:, 0], bends[:, 1:]
+    add: Array = np.zeros(slopes.shape[1])
     for _ in range(4):
-        rest = bend + add * slope
+        rest = bend + slopes @ add
         near = np.abs(rest) <= 3.0 / MAD_OF_NORMAL * max(float(np.median(np.abs(rest))), 1e-4)
-        squares = float(slope[near] @ slope[near])
-        add = -float(slope[near] @ bend[near]) / squares if squares > 0.0 else 0.0
+        add = -np.linalg.lstsq(slopes[near], bend[near])[0].astype(np.float64)
     return add
 
 
@@ -290,7 +329,7 @@ def _sample(stream: Stream, last: int) -> Iterator[dict[str, Any]]:
         ranges = cast("Ragged", columns["ranges"])
         use = np.flatnonzero(((seen + np.arange(len(rows))) % every == 0) & (ranges.lengths <= MAX_BEAMS))
         if len(use):
-            yield {name: take(column, use) for name, column in columns.items()}
+            yield {name: take(column, use) for name, column in columns.items()} | {"t_ns": stream.t_ns[rows[use]]}
         seen += len(rows)
         if seen >= last:
             return

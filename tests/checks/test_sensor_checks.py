@@ -1,6 +1,7 @@
 """Which way round a camera's columns turn, and where column 0 looks, by the wheels and a known start."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,6 +14,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from present import present
 from rows import readings
+from small_drive import drive as small_drive, robot as small_robot
 from wheel_bags import on_circle
 
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -22,7 +24,7 @@ from locfuse.fusion.checks import laser_ranges
 from locfuse.fusion.checks.compass import of_iron
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import of_sweep
-from locfuse.fusion.checks.laser_ranges import of_angles, of_offset, of_scatter, ranges_offset
+from locfuse.fusion.checks.laser_ranges import of_angles, of_beam_angles, of_offset, of_scatter, ranges_offset
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, of_handedness, of_rims, turning_along
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
 from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, Ragged, Truth
@@ -138,9 +140,9 @@ ANGLES = np.arange(BEAMS) * (2.0 * np.pi / BEAMS) - np.pi
 NORMALS, DISTANCES = np.radians([0.0, 90.0, 180.0, 270.0]) + 0.2, np.array([2.5, 1.5, 3.0, 2.0])
 
 
-def room() -> Array:
+def room(angles: NDArray[np.floating[Any]] = ANGLES) -> Array:
     """The ranges (SCANS, BEAMS) of a closed room: to the nearest of four walls."""
-    cos = np.cos(ANGLES[:, None] - NORMALS)
+    cos = np.cos(angles[:, None] - NORMALS)
     return np.tile(np.where(cos > 1e-3, DISTANCES / np.maximum(cos, 1e-3), np.inf).min(axis=1), (SCANS, 1))
 
 
@@ -186,6 +188,19 @@ def test_walls_tell_a_constant_error_of_the_ranges_whatever_their_scale(error: f
     add, sigma = found
     assert add == pytest.approx(-error, abs=0.006)  # what is near a corner takes part
     assert sigma < 0.004
+
+
+@pytest.mark.parametrize("wider", [0.03, -0.03, 0.004, 0.0])
+@pytest.mark.parametrize("error", [0.0, 0.05])
+def test_walls_tell_a_wrong_angle_between_beams_beside_a_wrong_range(wider: float, error: float) -> None:
+    true = -np.pi + (1.0 + wider) * (ANGLES + np.pi)
+    stream = scan_stream(range(SCANS), room(true) + error + noise(0.01))
+    found = of_beam_angles(stream, replace(small_drive(5, small_robot()), epoch_ns=0), LrfSettings())
+    assert [f.severe for f in found] == [True] * (abs(wider) > 0.01)
+    for one in found:
+        size, sense = present(re.search(r"were (.+)% too (small|large)", one.message)).groups()
+        assert float(size) == pytest.approx(100.0 * abs(wider), abs=0.8)  # what is near a corner takes part
+        assert sense == ("small" if wider > 0.0 else "large")
 
 
 def test_a_constant_error_is_named_with_what_to_add_to_the_configured_offset() -> None:

@@ -34,7 +34,7 @@ from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.gyro import SATURATED, of_rest_noise
 from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
 from locfuse.fusion.checks.landmarks import CLOCKWISE
-from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
+from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE, UNSWEPT
 from locfuse.fusion.checks.laser_ranges import BEAM_ANGLES, OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
 from locfuse.fusion.checks.points import MAP, SCALE as RANGE_SCALE
@@ -71,6 +71,7 @@ KEYLESS = {
     CREEP,
     BUMP,
     BEAM_ANGLES,
+    UNSWEPT,
     SWAPPED,
     UNEVEN,
     CLOCKWISE,

@@ -16,8 +16,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Ints, Mask, Measurements, Stream, totals
-from locfuse.fusion.lines.scans import SCAN_FIELDS
+from locfuse.fusion.data import Array, ArrayStream, Drive, Ints, Mask, Measurements, Ragged, Stream, totals
+from locfuse.fusion.lines.scans import SCAN_FIELDS, scan_period
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
@@ -416,28 +416,32 @@ MIN_RATE_RADPS = 0.3  # rad/s, least difference of the turn rates of two scans: 
 MIN_PAIRS = 60  # least number of walls seen at such different turn rates
 MAX_MISFIT_RATIO = 0.65  # largest ratio of the misfits with the reverse and with the configured order
 RATE_STEP_S = 0.1  # s over which the turn rate is taken
+UNSWEPT = "unswept"  # code of the finding on scans without the time between two beams
 ORDERS = {"forward": "backward", "backward": "forward"}
 
 
 def of_sweep(stream: Stream, drive: Drive, robot: Robot, offset: float) -> list[Finding]:
     """Return a finding if walls seen while turning fit clearly better in the reverse order of the beams.
 
+    Without `time_increment` the finding is that they fit better if a scan lasts as long as the time between two.
+
     Deskewing with `time_increment` corrects a scan for the robot's turn; in the wrong order of beams it doubles
     the error. A driver may reverse the ranges but leave time_increment positive. `offset` [s] is added to the
     laser's times: the wheels' clock.
     """
     settings = cast("LrfSettings", robot.settings("lrf"))
-    increment = np.asarray(stream.columns("time_increment")["time_increment"])
-    if not settings.deskew or not len(drive.measurements["lrf"].t) or not increment.any():
+    if not settings.deskew or not len(drive.measurements["lrf"].t):
         return []
     settings = replace(settings, time_offset=settings.time_offset + offset)
     pairs = _places(seconds(stream.t_ns, drive.epoch_ns, settings.time_offset), drive)
     rows = np.unique(np.concatenate([_evenly(scans) for scans in pairs]))  # only these scans are compared
     if not len(rows):
         return []
-    stream = taken(stream, rows, *SCAN_FIELDS)
+    period, stream = scan_period(stream.t_ns), taken(stream, rows, *SCAN_FIELDS)
     other = ORDERS[settings.sweep]
     now = _misfit(stream, drive, settings)
+    if now is not None and not np.any(cast("Array", stream.data["time_increment"])):
+        return _unswept(stream, drive, settings, period, now)
     then = None if now is None else _misfit(stream, drive, replace(settings, sweep=other))
     if now is None or then is None or then > MAX_MISFIT_RATIO * now:
         return []
@@ -447,6 +451,23 @@ def of_sweep(stream: Stream, drive: Drive, robot: Robot, offset: float) -> list[
         f"{math.degrees(then):.1f}° if each scan begins with its {first} beam: it sweeps {other}"
     )
     return [Finding("lrf", "sweep", words, (f"lrf.sweep={other}",), True)]
+
+
+def _unswept(stream: ArrayStream, drive: Drive, settings: LrfSettings, period: float, now: float) -> list[Finding]:
+    """Return a finding if walls fit clearly better if a sweep lasts `period` [s]; `now` [rad] is the misfit."""
+    lengths = cast("Ragged", stream.data["ranges"]).lengths
+    each = period / float(np.median(lengths))  # s
+    swept = replace(stream, data={**stream.data, "time_increment": np.full(len(lengths), each)})
+    orders = [(_misfit(swept, drive, replace(settings, sweep=order)), order) for order in ORDERS]
+    then, order = min(((misfit, order) for misfit, order in orders if misfit is not None), default=(math.inf, ""))
+    if then > MAX_MISFIT_RATIO * now:
+        return []
+    words = (
+        f"time_increment is 0: the directions of walls seen in turns are wrong by {math.degrees(now):.1f}°, but "
+        f"by {math.degrees(then):.1f}° if a scan takes {period:.2g} s ({order}). Write the time between two beams "
+        f"(about {each:.2g} s) in the driver"
+    )
+    return [Finding("lrf", UNSWEPT, words, (), True)]
 
 
 def _misfit(stream: Stream, drive: Drive, settings: LrfSettings) -> float | None:

@@ -383,7 +383,10 @@ def _angles(column: dict[str, Array], lengths: Array) -> list[Finding]:
     if len(np.unique(lengths)) > 1:
         words = f"its scans have {int(lengths.min())} to {int(lengths.max())} beams; each is read with its own"
         found.append(Finding("lrf", "beams", words))
-    if not (column["time_increment"] > 0.0).any():
+    if (column["time_increment"] < 0.0).any():
+        words = "time_increment is negative: its size is used, and lrf.sweep is the order of the beams"
+        found.append(Finding("lrf", "sweep sign", words))
+    elif not (column["time_increment"] > 0.0).any():
         words = "time_increment is 0: points are not corrected for the motion during a scan"
         found.append(Finding("lrf", "not deskewed", words))
     return found

@@ -261,7 +261,7 @@ def deskew(
     The poses are in the laser frame at the middle time; None without deskewing. Wheel odometry gives them at
     KNOTS_PER_SCAN times; between these they are interpolated linearly, with an error of some micrometres.
     """
-    if not laser.deskew or beams < 2 or not np.any(increment > 0.0):
+    if not laser.deskew or beams < 2 or not np.any(np.abs(increment) > 0.0):
         return stamps, None
     duration = sweep_time(increment, beams, laser.period)
     middle = stamps + 0.5 * duration
@@ -279,9 +279,11 @@ def sweep_time(increment: Array, beams: int, period: float) -> Array:
     """Return the time from the first to the last beam, (n,) s, at most 1 s; 0 if the increment is NaN.
 
     `period` [s] is that of the scans. A longer sweep is impossible: the increment is in another unit (ms, us), so
-    a power of 10 is divided out, or it is the time of the whole scan.
+    a power of 10 is divided out, or it is the time of the whole scan. The sign is not used, as `Laser.backward` is
+    the order of the beams; but a negative increment that is too long means "unknown": 0.
     """
-    each = np.fmin(np.fmax(increment, 0.0), LARGEST_INCREMENT_S)
+    unknown = -increment * beams > MAX_SWEEP_PERIODS * period
+    each = np.fmin(np.where(unknown, 0.0, np.fmax(np.abs(increment), 0.0)), LARGEST_INCREMENT_S)
     times = np.maximum(each * beams / (MAX_SWEEP_PERIODS * period), 1.0)
     whole = (each > 0.5 * period) & (each < MAX_SWEEP_PERIODS * period) & (times > 1.0)
     right = each / np.where(whole, beams, 10.0 ** np.ceil(np.log10(times)))

@@ -338,7 +338,7 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
     points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
     skewed = False
     for rows, columns in stream.blocks(*SCAN_FIELDS, rows=SCANS_PER_BLOCK):
-        skewed |= bool(np.any(cast("Array", columns["time_increment"]) > 0.0)) and laser.deskew
+        skewed |= bool(np.any(cast("Array", columns["time_increment"]) != 0.0)) and laser.deskew
         for group, scans in equal_scans(columns):
             longest.add(scans)
             at = rows[group]

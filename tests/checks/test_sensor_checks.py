@@ -408,3 +408,17 @@ def test_a_laser_that_takes_its_beams_in_the_other_order_is_found(sweeping: Path
         stream = ArrayStream(stream.topic, stream.msgtype, stream.t_ns, data)
     found = of_sweep(stream, loaded.drive, loaded.robot, 0.0)
     assert [f.fixes for f in found] == ([(f"lrf.sweep={taken}",)] if said != taken else [])
+
+
+@pytest.mark.parametrize("duration", [0.001, 0.15])
+def test_scans_without_a_time_between_beams_are_named_if_they_take_time(tmp_path: Path, duration: float) -> None:
+    sets = (f"lrf.duration={duration}", "lrf.rate=6.0", "camera.enabled=false")
+    write_log(scenario_of("rounded_triangle", sets), 3000, on_truth, tmp_path / "log.mcap")
+    loaded = load(tmp_path / "log.mcap").loaded
+    stream = loaded.stream("lrf")
+    columns = stream.columns(*SCAN_FIELDS)
+    columns["time_increment"] = np.zeros(len(stream.t_ns))
+    stream = ArrayStream(stream.topic, stream.msgtype, stream.t_ns, columns)
+    found = of_sweep(stream, loaded.drive, loaded.robot, 0.0)
+    assert [(f.code, f.severe, f.fixes) for f in found] == [("unswept", True, ())] * (duration > 0.1)
+    assert all("if a scan takes 0.17 s (forward)" in f.message for f in found)

@@ -455,7 +455,8 @@ def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:
 
 def test_a_sweep_takes_at_most_a_second_and_no_time_where_its_increment_is_no_number() -> None:
     told = np.array([0.001, -1.0, 0.0, np.nan, np.inf, 5.0])
-    np.testing.assert_allclose(sweep_time(told, 101, math.inf), [0.1, 0.0, 0.0, 0.0, 100.0 / 101.0, 100.0 / 101.0])
+    np.testing.assert_allclose(sweep_time(told, 101, 10.0), [0.1, 0.0, 0.0, 0.0, 100.0 / 101.0, 100.0 / 101.0])
+    assert sweep_time(np.array([-0.001]), 101, 0.1) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(("told", "sweep"), [(1e-3, 0.1), (1.0, 0.1), (1e3, 0.1), (0.02, 0.2), (0.2, 0.2)])

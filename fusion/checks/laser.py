@@ -196,7 +196,8 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
     A wrong range scale does not change turns, and a wrong track does not change distances, but a wrong radius
     changes both. If the caller tries the fix, it sets the limits `least`. Then the mean of both factors must be
     significant, and the factors nearer to each other than to 1. If they differ significantly, the distances alone
-    determine the radius.
+    determine the radius. No range scale is wrong by more than a factor of 2: beyond that the factors need not
+    be equal, as walls that are paired by such wheels bias both.
     """
     radius = robot.wheels.radius
     if motion is None or radius is None or motion.turns is None:
@@ -213,7 +214,8 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
     alike = apart < least.sigmas * math.hypot(*sigmas)
     near = apart < (1.0 if tried else MAX_RADIUS_MISFIT) * float(off.min())
     known = (sigma, sigma) if tried else sigmas
-    if not near or not (alike or tried) or any(off < [least.error + least.sigmas * s for s in known]):
+    gross = bool((scales < MIN_RANGE_FACTOR).all() or (scales > MAX_RANGE_FACTOR).all())
+    if not near or not (alike or tried or gross) or any(off < [least.error + least.sigmas * s for s in known]):
         return []
     if not alike:
         factor, sigma = float(scales[0]), sigmas[0]
@@ -416,6 +418,7 @@ MIN_RATE_RADPS = 0.3  # rad/s, least difference of the turn rates of two scans: 
 MIN_PAIRS = 60  # least number of walls seen at such different turn rates
 MAX_MISFIT_RATIO = 0.65  # largest ratio of the misfits with the reverse and with the configured order
 RATE_STEP_S = 0.1  # s over which the turn rate is taken
+MAX_SWEPT_MISFIT_RAD = math.radians(1.0)  # with more, a sweep is not the error, or not the only one
 UNSWEPT = "unswept"  # code of the finding on scans without the time between two beams
 ORDERS = {"forward": "backward", "backward": "forward"}
 
@@ -460,7 +463,7 @@ def _unswept(stream: ArrayStream, drive: Drive, settings: LrfSettings, period: f
     swept = replace(stream, data={**stream.data, "time_increment": np.full(len(lengths), each)})
     orders = [(_misfit(swept, drive, replace(settings, sweep=order)), order) for order in ORDERS]
     then, order = min(((misfit, order) for misfit, order in orders if misfit is not None), default=(math.inf, ""))
-    if then > MAX_MISFIT_RATIO * now:
+    if then > min(MAX_MISFIT_RATIO * now, MAX_SWEPT_MISFIT_RAD):
         return []
     words = (
         f"time_increment is 0: the directions of walls seen in turns are wrong by {math.degrees(now):.1f}°, but "

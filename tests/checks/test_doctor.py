@@ -144,6 +144,16 @@ def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float
     assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
 
 
+@pytest.mark.parametrize(("ways", "turns", "radius"), [(3.7, 4.4, 0.05 / 3.7), (3.7, 1.0, None), (1.7, 1.9, None)])
+def test_ways_and_turns_beyond_twice_are_a_wrong_radius_though_they_differ(
+    ways: float, turns: float, radius: float | None
+) -> None:
+    """Walls are paired by the wheels, and such wheels bias both factors."""
+    motion = WallMotion(ways, 0.05, 0.0, 0.01, 1.0 / turns, 0.002, 500)
+    found = told(of_radius(motion, robot()))
+    assert found.get("wheels.radius") == (radius and pytest.approx(radius, rel=1e-3))
+
+
 @pytest.mark.parametrize("truth", [True, False])
 @pytest.mark.parametrize("factor", [0.3, 4.0])
 def test_a_radius_that_is_far_off_is_named_and_the_track_is_left(factor: float, truth: bool) -> None:

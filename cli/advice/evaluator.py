@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
-from locfuse.cli.analysis.load import Loaded, unbroken
+from locfuse.cli.analysis.load import Loaded, unbroken, with_settings
 from locfuse.cli.analysis.results import settings_tables
 from locfuse.cli.analysis.robot_tables import flat
 from locfuse.cli.analysis.settings import Asked, Progress, silent
-from locfuse.formats.report.findings import change
+from locfuse.formats.report.findings import change, options
 from locfuse.fusion.checks.examine import MIXED, holes, too_short
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import (
     Advice,
     Candidate,
@@ -35,6 +37,8 @@ from locfuse.fusion.checks.tried import (
     tried,
     worsens_smoothed,
 )
+from locfuse.fusion.checks.turning import turnings
+from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 
 from .evidence import Evidence
@@ -43,6 +47,7 @@ from .report import Advised, data_advice
 from .trial import SMOOTHED, WHOLE, Trial, marks_of
 
 MAX_AGREEMENT_LOSS = 0.1  # largest accepted loss of agreement at revisited places; equally good paths differ less
+UNIT_KEYS = {"gyro.unit"}  # keys of fixes that other faults, such as mirrored wheels, do not explain
 MAX_WHOLE = 2  # severe findings whose fix did not help on the beginning: so many are tried on the whole drive
 
 
@@ -84,7 +89,22 @@ def advise(loaded: Loaded, progress: Progress, align: str, compared: Compared | 
     empty, helped = {a.finding.role for a in unusable}, {a.finding.role for a in found if a.helps}
     found = [a for a in found if a.helps or a.finding.role not in empty]
     others = (a for a in unusable if a.finding.role not in helped)
-    return Advised((*found, *others, *of_holes), trial.fusions)
+    return Advised((*found, *_made_readable(loaded), *others, *of_holes), trial.fusions)
+
+
+def _made_readable(loaded: Loaded) -> list[Advice]:
+    """Return the fixes of sensors that cannot be measured as configured, but turn as the wheels do with the fix.
+
+    No configuration of this log has such a sensor, so no run can judge them.
+    """
+    found = []
+    for name, fixes in loaded.drive.fixes.items():
+        with suppress(LocfuseError):
+            turned = turnings(with_settings(loaded, fixes).drive).get(name) if UNIT_KEYS & keys(fixes) else None
+            if turned is not None and turned.b < 0.0 < turned.a:
+                why = loaded.drive.absent[name].removesuffix(options(fixes)).rstrip(" :").replace("; ", ": ")
+                found.append(Advice(Finding(name, "unusable", why), fixes))
+    return found
 
 
 def advise_on_run(one: Compared, progress: Progress, align: str) -> Advised:

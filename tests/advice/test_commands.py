@@ -13,7 +13,7 @@ from lock_step import simulated
 from msgspec.structs import replace
 from present import present
 from trap_logs import COMPASS, SCAN, TRUTH, WHEELS, Change, Drive, S, recorded, seconds
-from traps import changed, each, elsewhere, field, late, short_metre, upside_down
+from traps import changed, each, elsewhere, field, gyro, late, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
 from locfuse.fusion import se2
@@ -33,6 +33,17 @@ def test_info_check_says_what_its_fix_did_and_without_advice_nothing_is_fused_ag
     lost = reported("compare", hanging, "--no-advice", code=3)  # lost, and said so
     assert lost.report["findings"] is None
     assert not (lost.out / "fixes.toml").exists()
+
+
+def test_a_gyro_in_degrees_is_read_with_the_fixes_of_compare(tmp_path: Path) -> None:
+    log = recorded(tmp_path, gyro(np.eye(3), angular_velocity__z=math.degrees))
+    done = reported("compare", log, "-q")
+    assert "gyro" in done.report["absent"]
+    (one,) = (f for f in done.report["findings"] if f["role"] == "gyro")
+    assert (one["fixes"], one["tried"]) == (["gyro.unit=deg"], None)
+    files = (done.out / "robot.toml", "--robot", done.out / "fixes.toml")
+    again = reported("compare", log, "-q", "--no-advice", "--robot", *files)
+    assert "gyro" in again.report["configurations"]
 
 
 @pytest.mark.parametrize("command", ["run", "compare"])

@@ -23,6 +23,7 @@ from locfuse.formats.report.findings import (
     void_reasons,
     without_correlation,
 )
+from locfuse.formats.report.tables import errors_are_in_mm
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.examine import BLIND, HOLE, holes, of_data, of_holes
 from locfuse.fusion.checks.finding import Finding
@@ -230,10 +231,12 @@ NO_EFFECT, HELPS, HURTS = "no effect seen", ("helps", "seems to help"), ("hurts"
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
     """Return the report's headline; `sets` are the sensors of each configuration to compare.
 
-    The first "the laser" becomes "the laser (lrf)", with the name of its settings.
+    The first "the laser" becomes "the laser (lrf)", with the name of its settings. Lengths are in m if the
+    table's are.
     """
     words = " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
-    return re.sub(r"\bthe laser\b(?!')", "the laser (lrf)", in_one_unit(words), count=1)
+    words = in_one_unit(words, errors_are_in_mm(report) is False)
+    return re.sub(r"\bthe laser\b(?!')", "the laser (lrf)", words, count=1)
 
 
 def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:

@@ -156,11 +156,14 @@ def length(metres: float) -> str:
     return f"{metres:.2f} m" if metres < 9.95 else f"{metres:.0f} m"
 
 
-def in_one_unit(words: str) -> str:
-    """Return a text whose lengths are all in m if one of them is: "87 mm ... 1.20 m" -> "0.087 m ... 1.20 m"."""
-    if not LENGTH_M.search(words):
+def in_one_unit(words: str, in_m: bool = False) -> str:
+    """Return a text whose lengths are all in m if one of them is: "87 mm ... 1.20 m" -> "0.087 m ... 1.20 m".
+
+    With `in_m` they are always in m.
+    """
+    if not in_m and not LENGTH_M.search(words):
         return words
-    return LENGTH_MM.sub(lambda found: f"{float(found[1]) / 1000.0:.2g} m", words)
+    return LENGTH_MM.sub(lambda found: f"{float(found[1]) / 1000.0:.3g} m", words)
 
 
 # --- Notes; those that differ only in numbers or names are merged into one note

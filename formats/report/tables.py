@@ -125,6 +125,14 @@ def has_figures(report: Report) -> bool:
     return any(v.get(c.key) is not None for c in COLUMNS for v in report["configurations"].values())
 
 
+def errors_are_in_mm(report: Report) -> bool | None:
+    """Return whether the table of errors is in mm, else in m; None without errors."""
+    rows = report["configurations"].values()
+    errors = [e for c in COLUMNS if c.unit == "m" for v in rows if (e := v.get(c.key))]
+    most = IN_MM_IF_SMALL[1] if errors and min(errors) < IN_MM_IF_SMALL[0] else IN_MM
+    return max(errors) < most if errors else None
+
+
 def configurations(report: Report, main: bool = True) -> Table:
     """Return the error figures of every configuration: the main figures, or all.
 
@@ -134,9 +142,7 @@ def configurations(report: Report, main: bool = True) -> Table:
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
     found += [JUDGED_BY] if report.get("reference") else []
-    errors = [e for c in COLUMNS if c.unit == "m" for v in rows if (e := v.get(c.key))]
-    most = IN_MM_IF_SMALL[1] if errors and min(errors) < IN_MM_IF_SMALL[0] else IN_MM
-    if errors and max(errors) < most:
+    if errors_are_in_mm(report):
         in_mm = {"unit": "mm", "scale": 1000.0, "form": "{:.1f}", "brief_form": "{:.1f}"}
         found = [replace(c, **in_mm) if c.unit == "m" else c for c in found]
     found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _scan_quality(report))]

@@ -286,3 +286,4 @@ def test_a_sensor_whose_errors_are_all_void_gets_no_verdict() -> None:
 )
 def test_a_headline_has_one_unit_of_length(words: str, same: str | None) -> None:
     assert in_one_unit(words) == (same or "Keep it: 0.087 m, smoothed 0.0045 m. With all it is 1.20 m.")
+    assert in_one_unit("At 4.5 mm, then 124 mm.", in_m=True) == "At 0.0045 m, then 0.124 m."

@@ -6,6 +6,7 @@ Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estim
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -14,12 +15,27 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
-from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
+from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth, read_truth
+from locfuse.fusion.wheels.motion import path_alike
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .adapted_topics import not_read, offer_presented, offer_tags
 from .body_topics import by_fixes
-from .topics import WHY_NAMED, WHY_ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
+from .motion_evidence import motion_of
+from .topics import (
+    WHY_NAMED,
+    WHY_ONLY,
+    Choice,
+    Note,
+    checked,
+    filled,
+    likeliest,
+    of_other_robot,
+    of_type,
+    one,
+    several_fit,
+    types,
+)
 from .wheel_topics import choose_wheels
 
 TF = "/tf"  # a role of `choose_each`: frames that are topics of landmarks
@@ -103,7 +119,13 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
 
 def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> None:
     """Record that a sensor is used only if configured, with the setting for its first candidate topic."""
-    others = (lambda t: commanded(t, log.topics[t].msgtype), looks_like_truth, by_fixes)
+    beside = choice.topics.get("wheels", "")
+    others = (
+        lambda t: commanded(t, log.topics[t].msgtype),
+        lambda t: of_other_robot(t, beside),
+        looks_like_truth,
+        by_fixes,
+    )
     candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
         fixes = (f"{name}.topic={candidates[0]}",)
@@ -190,7 +212,26 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
         return
     known = [t for t in of_type(log, TRUTH_READS) if log.topics[t].msgtype in KNOWN_TRUTH]
     candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or t in known]
+    if named is None and len(candidates) > 1:
+        candidates = by_motion(log, robot, candidates, choice)
     topic = one(log, "truth", named, candidates, TRUTH_READS)
     if topic is not None:
         why = "by its type" if topic in known else "by its name"
         choice.take("truth", [topic], WHY_NAMED if named else why)
+
+
+def by_motion(log: Log, robot: Robot, topics: Sequence[str], choice: Choice) -> list[str]:
+    """Return topics of poses with those first whose paths have the shape of the robot's motion, if it is known."""
+    chosen = choice if choice.of("wheels") else Choice(read=choice.read)
+    with suppress(LocfuseError):  # reported where the wheels are chosen
+        if chosen is not choice:
+            choose_wheels(log, robot, chosen)
+    wheels = chosen.of("wheels")
+    if not wheels or (motion := motion_of(log, robot, wheels, choice.read)) is None:
+        return [*topics]
+    alike = dict.fromkeys(topics, 0.0)
+    for topic in topics:
+        with suppress(LocfuseError):  # reported if it is chosen
+            truth, _ = read_truth(log.stream(topic, robot.order), robot.truth, motion.epoch_ns)
+            alike[topic] = path_alike(motion.wheels, truth.t, truth.xy) or 0.0
+    return sorted(topics, key=lambda topic: -alike[topic])

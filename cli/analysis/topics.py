@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -98,6 +99,12 @@ def of_sensor(log: Log, robot: Robot, sensor: str, kinds: Iterable[str]) -> str 
 def _robot(topic: str) -> str:
     """Return the first part of a topic's name, often the robot's name: "robot1" of "/robot1/scan"."""
     return topic.lstrip("/").partition("/")[0] if topic.count("/") > 1 else ""
+
+
+def of_other_robot(topic: str, beside: str) -> bool:
+    """Return whether a topic's robot has the name of that of `beside` but for its number: robot2 beside robot1."""
+    robot, other = _robot(beside), _robot(topic)
+    return robot != other and re.sub(r"\d+", "#", robot) == re.sub(r"\d+", "#", other)
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import field
 
 from locfuse.cli.analysis.body_topics import of_camera
+from locfuse.cli.analysis.choose import by_motion
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
 from locfuse.cli.analysis.topics import Choice, Note, filled, types
@@ -245,13 +246,14 @@ def _described(log: Log) -> WheelGeometry | None:
 def possible_truth(overview: Overview) -> list[Finding]:
     """Return a finding on pose topics that may be ground truth; the user decides."""
     log = overview.log
-    if "truth" in overview.choice.topics:
+    if "truth" in {*overview.choice.topics, *overview.choice.absent}:
         return []
     found = filled(log, *(kind for kind in TRUTH_READS if kind not in {ODOMETRY, FIX}))
     poses = [t for t in found if not any(word in t.lower() for word in ESTIMATE_WORDS)]
     poses = [t for t in poses if not (commanded(t, log.topics[t].msgtype) or of_camera(log, t))]
     if not poses:
         return []
+    poses = by_motion(log, overview.robot, poses, overview.choice) if len(poses) > 1 else poses
     words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"
     return [Finding("truth", "truth?", words, (f"truth.topic={poses[0]}",))]
 

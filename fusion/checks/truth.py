@@ -14,15 +14,18 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH, elsewhere
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
-from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.motion import Wheels, path_alike, turns_explained
 from locfuse.fusion.wheels.repairs import gaps_of, times
 
 from .finding import Finding, Least, of_error
+from .lag import headings
 from .laser import OPEN_SCALE, WallMotion, range_fix, size_fix, who_is_right
 from .start import of_start
 from .tracked_point import axle_path, of_creep, of_point, of_yaw, swing, swing_by_positions
 
 UNIT, AXES, JUMP, FEW = "unit", "axes", "jump", "few"  # codes of the findings on an unusable truth
+OTHER = "other body"  # code of the finding on a truth of another body
+MIN_ALIKE, MIN_SURE_SHARE, MAX_OTHER_SHARE = 0.9, 0.9, 0.5  # of paths; of turns: of one robot, of different ones
 SIZE = "size"  # code of the finding on a truth with another distance scale than wheels and laser
 # ratio of the truth's distances to those in m -> unit
 UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}
@@ -295,6 +298,29 @@ def of_axes(drive: Drive) -> list[Finding]:
     return [Finding("truth", AXES, words, (), True)]
 
 
+def of_body(drive: Drive) -> list[Finding]:
+    """Return a finding if the truth neither turns nor moves as the wheels do, which a sensor's turns confirm."""
+    truth, wheels = drive.truth, drive.wheels
+    if truth is None or truth.theta is None or len(truth.t) < MIN_STEPS:
+        return []
+    from .clocks import truth_lag  # imported here since it imports this file
+
+    share, alike = turns_explained(wheels, truth.t, np.unwrap(truth.theta)), path_alike(wheels, truth.t, truth.xy)
+    if share is None or share > MAX_OTHER_SHARE or alike is None or alike > MIN_ALIKE or truth_lag(drive):
+        return []
+    sure = {
+        name: turns_explained(wheels, *heading) or 0.0 for name, heading in headings(drive.measurements).items()
+    }
+    if (best := max(sure, key=lambda name: sure[name], default="")) == "" or sure[best] < MIN_SURE_SHARE:
+        return []
+    words = (
+        f"the wheels explain {share:.0%} of its turns, and {sure[best]:.0%} of those of the {best}: it tracks "
+        "another body, or its clock is wrong by more than a second. Errors by it mean nothing: set truth.topic to "
+        "your robot's"
+    )
+    return [Finding("truth", OTHER, words, (), True)]
+
+
 def of_unit(drive: Drive) -> list[Finding]:
     """Return a finding if the truth is not in metres: its distances are a power of ten times the wheels'.
 
@@ -345,7 +371,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
 
 def unusable(drive: Drive) -> Finding | None:
     """Return a finding if no error can be computed by this truth (few poses, unit, axes, jumps), else None."""
-    for found in (*of_few(drive), *of_axes(drive), *of_unit(drive)):
+    for found in (*of_few(drive), *of_axes(drive), *of_unit(drive), *of_body(drive)):
         return found
     jumps = jumps_of(drive)
     if jumps is None or not jumps.unusable:

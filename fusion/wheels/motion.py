@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 import msgspec
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Component, Ints, Motions, changes, interpolate, totals
@@ -244,6 +245,7 @@ TURN_WINDOW_S, DISTANCE_WINDOW_S, MIN_WINDOWS = 1.0, 5.0, 5
 LAGS_S = np.arange(-1.0, 1.01, 0.1)  # between the clocks of a motion and a sensor
 MIN_TURN_RAD = np.radians(3.0)  # least rms turn of the sensor in a window
 MIN_DISTANCE_M = 15.0  # m, least total distance: fixes of a receiver at rest drift by some metres
+PART_S = 20.0  # s in which two paths keep their directions: wheels slip
 
 
 def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
@@ -273,6 +275,38 @@ def distances_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_
     if len(start) < MIN_WINDOWS or seen.sum() < least:
         return None
     return _explained(seen, start, lambda at: _far(at, wheels.t, wheels.pose[:, :2]))
+
+
+def path_alike(wheels: Wheels, t: Array, xy: Array) -> float | None:
+    """Return how well the bends of a path fit those of a motion: 1 for one robot, also with y to the right.
+
+    None if there are few positions. `xy` (n, 2) [m] are those at times t (n,) [s] on the clock of the motion. With
+    the steps a and b of both paths as complex numbers, minus their means over PART_S, this is the correlation
+    sum |sum a b'| / (|a| |b|), the inner sum over a part, whose directions may differ, at the best delay.
+    """
+    margin = float(LAGS_S[-1])
+    first, last = max(t[0], wheels.t[0]) + margin, min(t[-1], wheels.t[-1]) - margin - TURN_WINDOW_S
+    start = np.arange(first, last, 0.5 * TURN_WINDOW_S)
+    if len(start) < MIN_WINDOWS:
+        return None
+    part = ((start - first) * math.ceil((last - first) / PART_S) / (last - first)).astype(np.int64)
+
+    def bends(at: Array, t: Array, xy: Array) -> NDArray[np.complex128]:
+        step = np.asarray(changes(at, TURN_WINDOW_S, t, xy) @ (1.0, 1.0j), np.complex128)
+        out: NDArray[np.complex128] = step - (summed(step) / np.bincount(part))[part]
+        return out
+
+    def summed(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        out: NDArray[np.complex128] = np.bincount(part, values.real) + 1.0j * np.bincount(part, values.imag)
+        return out
+
+    own, found = bends(start, t, xy), [0.0]
+    for lag in LAGS_S.tolist():
+        theirs = bends(start + lag, wheels.t, wheels.pose[:, :2])
+        size = float(np.linalg.norm(own) * np.linalg.norm(theirs))
+        if size > 0.0:
+            found += [float(np.abs(summed(own * b)).sum()) / size for b in (theirs, theirs.conj())]
+    return max(found)
 
 
 def _far(start: Array, t: Array, xy: Array) -> Array:

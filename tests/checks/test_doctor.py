@@ -567,6 +567,19 @@ def test_a_truth_with_its_height_in_place_of_an_axis_judges_nothing(height: int)
     assert of_axes(with_truth(healthy, xy=corridor)) == []
 
 
+def test_a_truth_of_another_robot_is_named_and_a_truth_whose_headings_are_wrong_is_not() -> None:
+    healthy, backwards = drive(1, robot()), slice(None, None, -1)
+    truth = truth_of(healthy)
+    theta = present(truth.theta)
+    other = with_truth(healthy, xy=truth.xy[backwards], theta=theta[backwards])
+    found = present(truth_checks.unusable(other))
+    assert (found.code, found.severe) == (truth_checks.OTHER, True)
+    assert found.message.startswith("the wheels explain 0% of its turns, and ")
+    alone = replace(other, measurements={})  # the wheels may be wrong
+    for right in (healthy, with_truth(healthy, theta=theta[backwards]), alone):
+        assert truth_checks.unusable(right) is None
+
+
 def test_a_scale_that_no_laser_has_gets_no_fix_and_a_path_of_another_shape_has_none() -> None:
     assert range_fix(robot(), 1.1) == ("lrf.range_scale=1.1",)
     assert range_fix(robot(), 0.27) == range_fix(robot(), 4.0) == ()

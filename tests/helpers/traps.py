@@ -671,6 +671,15 @@ def points_only(drive: Drive) -> None:
     del drive.tables["truth"]
 
 
+def two_bodies(drive: Drive) -> None:
+    """Another robot, whose name is first, drives the same tour from the end to the beginning."""
+    own = drive.on(TRUTH)
+    drive.add(m._replace(topic="/mocap/alpha", fields=n.fields) for m, n in zip(own, own[::-1], strict=True))
+    drive.add(m._replace(topic="/mocap/robot") for m in own)
+    drive.drop(TRUTH)
+    del drive.tables["truth"]
+
+
 TRUTH_TRAPS = (
     Trap("a tracked marker off the axle", each(TRUTH, marker), "it swings as the body point", spoils=True),
     Trap(
@@ -685,6 +694,7 @@ TRUTH_TRAPS = (
         "a truth whose quaternions begin with w", each(TRUTH, w_first), "turn about the x axis: read as w, x, y, z"
     ),
     Trap("jumps of metres in the truth", each(TRUTH, jump), "by more than the wheels rolled", spoils=True),
+    Trap("two tracked bodies", two_bodies, "2 topics that fit", spoils=True, refused=True),
     Trap("a start that is not set", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
     Trap("a start by points only", points_only, "from where the drive starts", spoils=True),
 )

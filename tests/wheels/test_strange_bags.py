@@ -137,7 +137,9 @@ def test_of_two_robots_the_laser_of_the_one_that_is_named_is_taken(tmp_path: Pat
     with pytest.raises(LocfuseError, match="2 topics that fit: /robot1/odom, /robot2/odom"):
         chosen(log)
     for robot in ("robot1", "robot2"):
-        assert chosen(log, wheels={"topic": f"/{robot}/odom"}).of("lrf") == (f"/{robot}/scan",)
+        choice = chosen(log, wheels={"topic": f"/{robot}/odom"})
+        assert choice.of("lrf") == (f"/{robot}/scan",)
+        assert "pose" not in choice.absent  # the odometry of the other robot is not offered
 
 
 def test_init_writes_the_laser_that_is_used_and_calls_it_a_guess(tmp_path: Path) -> None:

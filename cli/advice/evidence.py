@@ -212,7 +212,7 @@ class Evidence(NoiseFindings):
                 ways = (*ways, self._with_antenna(ways[0]))
             one = self._candidate(finding, ways, not finding.severe)
             proven = finding.severe and len(clock.against) > 1
-            shape = by_truth and clock.name == LASER
+            shape = by_truth and clock.name in {LASER, "truth"}
             found[clock.name] = replace(one, measured=sure or by_truth, proven=proven, by_shape=shape)
         return [*found.values()]
 

@@ -98,11 +98,14 @@ def _joined(found: Sequence[Advice]) -> Advice:
         else:
             earlier = first.finding.brief
             message = f"{earlier}; after this fix: {advice.finding.brief}"
-            if keys(first.fixes) <= keys(advice.fixes):
-                message = advice.finding.brief if _differ(first.fixes, advice.fixes) else earlier
-        # the first figures before, and the last after
+            if keys(first.fixes) <= keys(advice.fixes) and _differ(first.fixes, advice.fixes):
+                message = advice.finding.brief
+            elif keys(first.fixes) == keys(advice.fixes):
+                message = earlier
+        # the first figures before, and the last after, if both are before or both after alignment
         of_all = {**advice.pairs, **first.pairs}
-        pairs = {name: (pair[0], advice.pairs.get(name, pair)[1]) for name, pair in of_all.items()}
+        last = {n: pair for n, pair in advice.pairs.items() if pair[1].aligned == of_all[n][0].aligned}
+        pairs = {name: (pair[0], last.get(name, pair)[1]) for name, pair in of_all.items()}
         finding = replace(first.finding, message=message, hint="", source="")
         first = replace(first, finding=finding, fixes=together(first.fixes, advice.fixes), pairs=pairs)
     return first

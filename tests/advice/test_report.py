@@ -151,6 +151,7 @@ def test_without_truth_places_seen_twice_judge_smoothing(own: float, smoothed: f
 SURE = Finding("lrf", "lag", "late (correlation 0.9 as stamped, 0.99 shifted). It is the laser's", severe=True)
 LATE = Advice(Finding("lrf", "lag", "stamps look 0.1 s late"), ("lrf.time_offset=-0.1",))
 AGAIN = Advice(Finding("lrf", "lag", "stamps look 0.01 s early"), ("lrf.time_offset=-0.09",))
+BOTH = Advice(Finding("lrf", "mount", "seems to sit 0.1 m back"), (*AGAIN.fixes, "lrf.x=-0.1"))
 HIGH = Advice(Finding("lrf", "too high", "noise is set too high"), ("lrf.sigma_range=0.01",))
 LOW = Advice(Finding("lrf", "anees", "errors are 2 times what is claimed"), ("lrf.sigma_range=0.04",))
 
@@ -168,8 +169,14 @@ def finding(*advice: Advice) -> Any:
         ((LATE, HIGH), "stamps look 0.1 s late; after this fix: noise is set too high", LATE.fixes + HIGH.fixes),
         ((HIGH, LOW), LOW.finding.message, LOW.fixes),
         ((LATE, AGAIN), LATE.finding.message, AGAIN.fixes),
+        ((LATE, BOTH), f"{LATE.finding.message}; after this fix: {BOTH.finding.message}", BOTH.fixes),
     ],
-    ids=["of different things: one after the other", "set otherwise later: not told", "measured again: told once"],
+    ids=[
+        "of different things: one after the other",
+        "set otherwise later: not told",
+        "measured again: told once",
+        "measured again with another thing: both told",
+    ],
 )
 def test_several_steps_become_one_message(steps: tuple[Advice, ...], message: str, fixes: tuple[str, ...]) -> None:
     found = finding(*steps)

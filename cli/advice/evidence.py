@@ -442,8 +442,9 @@ class Evidence(NoiseFindings):
         Also that of a gyro by its noise at standstill, and the drift of a compass offset.
         """
         drive, robot = self.loaded.drive, self.loaded.robot
+        whole = self.trial.whole_under(self.fixes) or self.loaded
         found = [
-            *positions.of_claims(drive, robot),
+            *positions.of_claims(whole.drive, robot),
             *of_rest_noise(drive, robot),
             *of_moving_offset(drive, robot, next(iter(self.runs_alone(LASER)), None)),
         ]

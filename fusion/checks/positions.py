@@ -11,7 +11,7 @@ The antenna of a GPS is also found without truth, by the headings of a run and f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,9 +22,11 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.statistics import jackknife, robust, robust_sigma, robust_with_sigmas
 from locfuse.fusion.truth import poses_at
+from locfuse.fusion.wheels.motion import PART_S
 
 from .finding import Finding, Least
 from .tracked_point import Plane, axle_path
+from .truth import white_sigma
 
 GPS, POSE, ANTENNA = "gps", "pose", "antenna"  # sensors; code of the finding on the antenna
 EAST, PATH = "east", "path"  # codes of the findings on the direction of east, on a mirrored or scaled path
@@ -188,10 +190,29 @@ def _of_speeds(drive: Drive) -> list[Finding]:
     return found[:1]
 
 
+def white_error(drive: Drive) -> float:
+    """Return the sigma [m] of independent errors of fixes, by their steps beside those of the wheels; else 0.
+
+    Both paths have one direction in PART_S. Errors that last longer, such as those of multipath, do not count.
+    """
+    m, wheels = drive.measurements.get(GPS), drive.wheels
+    if m is None or len(m.t) < MIN_WINDOWS:
+        return 0.0
+    _, _, pose = wheels.at(np.clip(m.t, wheels.t[0], wheels.t[-1]))
+    steps, rolled = (np.diff(xy @ (1.0, 1.0j)) for xy in (m.z, pose[:, :2]))
+    part, products = ((m.t[1:] - m.t[0]) / PART_S).astype(np.int64), steps * rolled.conj()
+    turns: Plane = np.bincount(part, products.real) + 1.0j * np.bincount(part, products.imag)
+    rest = steps - np.exp(1.0j * np.angle(turns))[part] * rolled
+    return max(white_sigma(rest.real), white_sigma(rest.imag))
+
+
 def of_claims(drive: Drive, robot: Robot) -> list[Finding]:
-    """Return findings on positions that are much less exact, by the truth, than is claimed."""
+    """Return findings on positions that are much less exact than is claimed, by the truth, fixes also without."""
     found = []
     for sensor in (GPS, POSE):
+        if sensor == GPS and drive.truth is None:
+            found += _of_claim(drive, robot, GPS, "from one to the next", [white_error(drive)])
+            continue
         m, poses = _beside_truth(drive, sensor)
         if m is None or m.extra.get("drifts", np.zeros(1)).any():
             continue
@@ -202,16 +223,23 @@ def of_claims(drive: Drive, robot: Robot) -> list[Finding]:
         if sensor == POSE and robot.settings(POSE).heading and np.isfinite(poses[:, 2]).all():
             off = np.exp(1.0j * (m.z[:, 2] - poses[:, 2]))
             seen.append(math.degrees(robust_sigma(np.angle(off / np.mean(off)))))
-        keys, claimed = REGISTRY[sensor].noise_keys, REGISTRY[sensor].claimed(m)
-        now = claimed.get(keys[0], getattr(robot.settings(sensor), keys[0]))
-        if seen[0] < MAX_CLAIM_RATIO * now:
-            continue
-        who = "messages claim" if claimed else "settings say"
-        words = f"by the truth its positions are wrong by {seen[0]:.2g} m (1 sigma), its {who} {now:.2g} m"
-        fixes = [f"{sensor}.covariance=sigma"] if claimed else []
-        fixes += [f"{sensor}.{key}={value:.2g}" for key, value in zip(keys, seen, strict=False)]
-        found.append(Finding(sensor, CLAIM, words, tuple(fixes)))
+        found += _of_claim(drive, robot, sensor, "by the truth", seen)
     return found
+
+
+def _of_claim(drive: Drive, robot: Robot, sensor: str, source: str, seen: Sequence[float]) -> list[Finding]:
+    """Return a finding if the errors `seen` of positions [m] (and headings [deg]) exceed those claimed."""
+    if sensor not in drive.measurements:
+        return []
+    keys, claimed = REGISTRY[sensor].noise_keys, REGISTRY[sensor].claimed(drive.measurements[sensor])
+    now = claimed.get(keys[0], getattr(robot.settings(sensor), keys[0]))
+    if seen[0] < MAX_CLAIM_RATIO * now:
+        return []
+    who = "messages claim" if claimed else "settings say"
+    words = f"{source} its positions are wrong by {seen[0]:.2g} m (1 sigma), its {who} {now:.2g} m"
+    fixes = [f"{sensor}.covariance=sigma"] if claimed else []
+    fixes += [f"{sensor}.{key}={value:.2g}" for key, value in zip(keys, seen, strict=False)]
+    return [Finding(sensor, CLAIM, words, tuple(fixes))]
 
 
 def of_east(drive: Drive, robot: Robot) -> list[Finding]:

@@ -180,13 +180,13 @@ def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
     if inside.sum() < MIN_STEPS:
         return Sigma(0.0, 0.0)
     if path is None or truth.theta is None:  # only noise larger than the robot's steps shows
-        return Sigma(max(_white_sigma(step[inside]) for step in np.diff(truth.xy, axis=0).T), 0.0)
+        return Sigma(max(white_sigma(step[inside]) for step in np.diff(truth.xy, axis=0).T), 0.0)
     step = se2.rotated(-truth.theta[:-1], np.diff(truth.xy - path, axis=0))[:, 1]
     turn = np.diff(np.unwrap(truth.theta) - np.interp(truth.t, wheels.t, wheels.pose[:, 2]))
-    return Sigma(_white_sigma(step[inside]), _white_sigma(turn[inside]))
+    return Sigma(white_sigma(step[inside]), white_sigma(turn[inside]))
 
 
-def _white_sigma(steps: Array) -> float:
+def white_sigma(steps: Array) -> float:
     """Return the sigma of white position noise by the correlation of steps (n,); 0 if not significant.
 
     Noise of one position adds to one step and is subtracted in the next one.

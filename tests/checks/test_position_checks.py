@@ -136,3 +136,14 @@ def test_positions_that_are_less_exact_than_claimed_get_their_sigma() -> None:
     (claim,) = of_claims(receiver, settings)
     assert claim.fixes[0] == "gps.covariance=sigma"
     assert "its messages claim 0.02 m" in claim.message
+
+
+def test_fixes_that_scatter_more_than_claimed_are_named_without_truth() -> None:
+    one, settings = seen("gps", sigma=0.3)
+    tight = replace(settings, sensors={"gps": GpsSettings(sigma=0.05)})
+    (claim,) = of_claims(replace(one, truth=None), tight)
+    assert told([claim])["gps.sigma"] == pytest.approx(0.3, rel=0.2)
+    assert "from one to the next its positions are wrong by" in claim.message
+    m, rng = one.measurements["gps"], np.random.default_rng(3)
+    drifts = replace(m, z=seen("gps")[0].measurements["gps"].z + 0.1 * rng.normal(size=m.z.shape).cumsum(axis=0))
+    assert of_claims(replace(one, truth=None, measurements={"gps": drifts}), tight) == []

@@ -201,6 +201,8 @@ def on_the_whole_drive(
         names = [n for n, c in trial.configurations.items() if role in SHARED_ROLES or role in c.sensors]
         candidate = _judged_by_all(advice, names)
         pairs = judged_pairs(candidate, kept, fixes, trial.on_whole)
+        if not pairs and candidate.by_shape:
+            pairs = judged_pairs(candidate, kept, fixes, trial.on_whole, shape=True)
         worse = not pairs
         if worse or not (candidate.proven or any(improves(*pair) for pair in pairs.values())):
             judged.append(replace(advice, fixes=(), pairs={}, tried=(fixes,), harmless=not worse))

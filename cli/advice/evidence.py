@@ -221,8 +221,10 @@ class Evidence(NoiseFindings):
         if not any(fix.startswith("start.") for fix in self.fixes):
             return fixes
         loaded = self.trial.under(together(self.fixes, fixes))
-        found = [] if loaded is None else of_truth(loaded.drive, loaded.robot)
-        return together(fixes, next((f.fixes for f in found if f.code == START), ()))
+        if loaded is None or (truth := loaded.drive.truth) is None:
+            return fixes
+        found = (f.fixes for f in of_truth(loaded.drive, loaded.robot) if f.code == START)
+        return together(fixes, next(found, start_by_shape(truth, loaded.drive)))
 
     def _with_antenna(self, fixes: Fixes) -> Fixes:
         """Add the position of a GPS antenna under a new time offset: a late clock looks like another position."""

@@ -39,6 +39,7 @@ from .lag import (
     headings,
 )
 from .start import MIN_START_ERROR_M, MIN_START_ERROR_RAD
+from .tracked_point import swing_by_positions
 
 WINDOW_S = 1.0  # s over which distances are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
@@ -412,13 +413,17 @@ def _by_headings(drive: Drive, truth: Truth | None) -> HeadingReference | None:
 
 
 def truth_lag(drive: Drive) -> Lag | None:
-    """Return the lag between truth and wheels by headings, else by speeds; None if neither shows one."""
+    """Return the lag between truth and wheels by headings, else by speeds or positions; None if none shows one."""
     truth, wheels = drive.truth, drive.wheels
     if truth is None or len(truth.t) < 5:
         return None
     theta = None if truth.theta is None else np.unwrap(truth.theta)
     turning = None if theta is None else find_lag(truth.t, theta, by_wheels(wheels))
-    return turning or way_lag(truth, drive) or far_lag(truth.t, truth.xy, theta, wheels)
+    found = turning or way_lag(truth, drive)
+    if found is None and theta is None and (swings := swing_by_positions(truth, drive)) and swings.lag:
+        offset, sigma = swings.lag
+        return Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S))
+    return found or far_lag(truth.t, truth.xy, theta, wheels)
 
 
 def far_lag(t: Array, xy: Array | None, theta: Array | None, wheels: Wheels) -> Lag | None:

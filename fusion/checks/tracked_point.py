@@ -31,7 +31,8 @@ WINDOW_S = 1.0  # s over which steps are compared
 MIN_WINDOWS, STRETCH_COUNT = 20, 8  # windows; stretches of the drive, for the jackknife
 MIN_TURN_RAD = math.radians(60.0)  # range of the headings
 # tracked point by positions alone: s in which the wheels' heading error is constant; steps of the path, of Gauss-
-# Newton, and of its numeric slopes (m, 1)
+# Newton, and of its numeric slopes (m, 1, s); least chi-square that a lag explains
+MIN_LAG_CHI2 = 9.0
 FRAME_S, MAX_FITTED_STEPS, GAUSS_NEWTON_STEPS, STEP_OF_SLOPE = 10.0, 2000, 5, 1e-3
 
 
@@ -54,6 +55,7 @@ class Swing(NamedTuple):
 
     x: Array  # (4,) tracked point (x, y) [m], scale of the path, sideways motion [m per m]
     sigma: Array  # (4,)
+    lag: tuple[float, float] | None = None  # s to add to the truth's stamps, and its sigma; None: not seen
 
     @property
     def aside(self) -> float:
@@ -98,11 +100,12 @@ def swing(truth: Truth, drive: Drive, path: Array | None = None) -> Swing | None
 
 
 def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
-    """Fit tracked point l and path scale s to a truth without headings; None if the robot hardly turns.
+    """Fit tracked point l, path scale s and lag to a truth without headings; None if the robot hardly turns.
 
     Over WINDOW_S, a step of the truth is c (s dp + dr l). The axle's step dp and the change dr of exp(i theta) are
     those of the wheels. The factor c, of length 1, turns the wheels' frame to the truth's; it is constant in every
-    FRAME_S. It is found for each l and s, which are found by Gauss-Newton steps.
+    FRAME_S. It is found for each l, s and lag, which are found by Gauss-Newton steps. At a constant speed, a lag
+    has the effect of a point further back, so it is 0 unless it explains the steps much better.
     """
     wheels = drive.wheels
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
@@ -112,30 +115,48 @@ def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
     first = first[:: 1 + len(first) // MAX_FITTED_STEPS]
     if len(first) < MIN_WINDOWS:
         return None
-    _, _, pose = wheels.at(t)
-    columns = np.exp(1.0j * pose[:, 2]), pose[:, :2] @ (1.0, 1.0j), seen
-    turned, rolled, y = (c[last[first]] - c[first] for c in columns)
+    ends, y = np.stack((t[first], t[last[first]])), seen[last[first]] - seen[first]
     part = ((t[first] - t[0]) / FRAME_S).astype(np.int64)
-    if np.ptp(wheels.heading(t)) < MIN_TURN_RAD or not _tells_point(turned, rolled):
+
+    def steps(lag: float) -> tuple[Plane, Plane]:
+        _, _, pose = wheels.at(np.clip(ends + lag, wheels.t[0], wheels.t[-1]))
+        turned, rolled = (
+            np.diff(c, axis=0)[0] for c in (np.exp(1.0j * pose[..., 2]), pose[..., :2] @ (1.0, 1.0j))
+        )
+        return turned, rolled
+
+    if np.ptp(wheels.heading(t)) < MIN_TURN_RAD or not _tells_point(*steps(0.0)):
         return None
 
     def rest(x: Array, some: Ints) -> Array:
+        turned, rolled = steps(float(x[3]))
         moved = (rolled * x[2] + turned * complex(x[0], x[1]))[some]
         products = y[some] * moved.conj()
         frames: Plane = np.bincount(part[some], products.real) + 1.0j * np.bincount(part[some], products.imag)
         own = y[some] - np.exp(1.0j * np.angle(frames))[part[some]] * moved
         return np.concatenate((own.real, own.imag))
 
-    def fitted(some: Ints, x: Array, steps: int) -> Array:
-        for _ in range(steps):
+    def fitted(some: Ints, x: Array, free: Array, count: int) -> Array:
+        for _ in range(count):
             own = rest(x, some)
-            slopes = [(own - rest(x + d, some)) / STEP_OF_SLOPE for d in STEP_OF_SLOPE * np.eye(3)]
-            x = x + robust(np.stack(slopes, axis=-1), own)[0]
+            slopes = [(own - rest(x + d, some)) / STEP_OF_SLOPE for d in STEP_OF_SLOPE * free]
+            x = x + robust(np.stack(slopes, axis=-1), own)[0] @ free
         return x
 
-    x = fitted(np.arange(len(y)), np.array([*truth.point, 1.0]), GAUSS_NEWTON_STEPS)
-    sigma = jackknife(lambda some: fitted(some, x, 2), len(y), STRETCH_COUNT)
-    return Swing(np.append(x, 0.0), np.append(np.broadcast_to(sigma, 3), 0.0))
+    def found(free: Array) -> tuple[Array, Array, float]:
+        x = fitted(every, np.array([*truth.point, 1.0, 0.0]), free, GAUSS_NEWTON_STEPS)
+        sigma = jackknife(lambda some: fitted(some, x, free, 2), len(y), STRETCH_COUNT)
+        return x, np.broadcast_to(sigma, 4), float((rest(x, every) ** 2).sum() + 1e-12)
+
+    every, unit = np.arange(len(y)), np.eye(4)
+    (x, sigma, left), (late_x, late_sigma, late_left) = found(unit[:3]), found(unit)
+    # windows overlap: each adds the numbers of one period
+    chi = 2.0 * len(y) * min(1.0, float(np.median(np.diff(t[first]))) / WINDOW_S) * math.log(left / late_left)
+    if chi < MIN_LAG_CHI2 or abs(late_x[3]) < POINT_SIGMAS * late_sigma[3]:
+        return Swing(np.append(x[:3], 0.0), np.append(sigma[:3], 0.0))
+    return Swing(
+        np.append(late_x[:3], 0.0), np.append(late_sigma[:3], 0.0), (float(late_x[3]), float(late_sigma[3]))
+    )
 
 
 def _tells_point(turned: Plane, rolled: Plane) -> bool:

@@ -27,6 +27,7 @@ from locfuse.fusion.checks.gyro import of_gyro
 from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_motion, of_laser, of_radius, range_fix
 from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.start import start_pose
+from locfuse.fusion.checks.tracked_point import swing_by_positions
 from locfuse.fusion.checks.truth import JUMP, SIZE, STEP, UNIT, of_axes, of_size, of_truth, of_unit
 from locfuse.fusion.checks.turning import Headings, and_truth, explain, of_ratio, of_track, turnings
 from locfuse.fusion.data import Array, ArrayStream, Drive, LocfuseError, Measurements, Truth, UsageError
@@ -415,6 +416,26 @@ def test_what_is_wrong_with_a_truth_is_named_with_its_value(case: str) -> None:
     found = [f for f in of_truth(change(drive(18, robot(), laps=1.5)), robot()) if f.code == code]
     assert bool(found) == bool(fixes)
     assert {k: v for k, v in told(found).items() if k in fixes} == pytest.approx(fixes, **within)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2])
+def test_positions_of_an_antenna_show_its_place_and_its_lag_together(late: float) -> None:
+    """Where the speed changes, a lag and a point further back are two things."""
+    rng, t = np.random.default_rng(4), np.arange(0.0, 90.0, 0.02)
+    speed, rate = np.maximum(0.0, 0.25 + 0.4 * np.sin(0.5 * t)), 0.5 * np.sin(0.3 * t)
+    twist = 0.02 * np.column_stack((speed, 0.0 * speed, rate))[1:]
+    pose = se2.chain(se2.exp(twist))
+    wheels = Wheels.from_twists(t, twist, TRACK, 4e-4)
+    at = np.arange(2.0, 88.0, 0.2)
+    xy = se2.compose(np.array([4.0, 1.0, 2.0]), se2.compose(pose, np.array([0.3, 0.1, 0.0])))[:, :2]
+    places = np.stack([np.interp(at, t, c) for c in xy.T], axis=-1) + 0.02 * rng.normal(size=(len(at), 2))
+    truth = Truth("/fix", at + late, places, None)
+    seen = replace(drive(18, robot()), wheels=wheels, truth=truth)
+    found = present(swing_by_positions(truth, seen))
+    assert found.x[:2] == pytest.approx([0.3, 0.1], abs=0.01)
+    assert (found.lag is not None) == bool(late)
+    if found.lag:
+        assert found.lag[0] == pytest.approx(-0.2, abs=0.03)
 
 
 def test_wheels_that_creep_sideways_are_named_by_the_truth() -> None:

@@ -201,6 +201,7 @@ def white_error(drive: Drive) -> float:
     _, _, pose = wheels.at(np.clip(m.t, wheels.t[0], wheels.t[-1]))
     steps, rolled = (np.diff(xy @ (1.0, 1.0j)) for xy in (m.z, pose[:, :2]))
     part, products = ((m.t[1:] - m.t[0]) / PART_S).astype(np.int64), steps * rolled.conj()
+    part = np.unique(part, return_inverse=True)[1]
     turns: Plane = np.bincount(part, products.real) + 1.0j * np.bincount(part, products.imag)
     rest = steps - np.exp(1.0j * np.angle(turns))[part] * rolled
     return max(white_sigma(rest.real), white_sigma(rest.imag))

@@ -245,6 +245,7 @@ TURN_WINDOW_S, DISTANCE_WINDOW_S, MIN_WINDOWS = 1.0, 5.0, 5
 LAGS_S = np.arange(-1.0, 1.01, 0.1)  # between the clocks of a motion and a sensor
 MIN_TURN_RAD = np.radians(3.0)  # least rms turn of the sensor in a window
 MIN_DISTANCE_M = 15.0  # m, least total distance: fixes of a receiver at rest drift by some metres
+MAX_COUNT = 100_000  # windows
 PART_S = 20.0  # s in which two paths keep their directions: wheels slip
 
 
@@ -253,7 +254,7 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
 
     `heading` (n,) [rad], not wrapped, is the sensor's heading at times t (n,) [s] on the clock of the motion.
     """
-    start = np.arange(t[0], t[-1] - TURN_WINDOW_S, TURN_WINDOW_S)
+    start = _spaced(t[0], t[-1] - TURN_WINDOW_S, TURN_WINDOW_S)
     seen = changes(start, TURN_WINDOW_S, t, heading)
     if len(start) < MIN_WINDOWS or np.sqrt(np.mean(seen**2)) < MIN_TURN_RAD:
         return None
@@ -270,7 +271,7 @@ def distances_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_
     None if there are too few positions, or less than `least` [m] between them in total. `xy` (n, 2) [m] are the
     positions at times t (n,) [s] on the clock of the motion.
     """
-    start = np.arange(t[0], t[-1] - DISTANCE_WINDOW_S, DISTANCE_WINDOW_S)
+    start = _spaced(t[0], t[-1] - DISTANCE_WINDOW_S, DISTANCE_WINDOW_S)
     seen = _far(start, t, xy)
     if len(start) < MIN_WINDOWS or seen.sum() < least:
         return None
@@ -286,10 +287,11 @@ def path_alike(wheels: Wheels, t: Array, xy: Array) -> float | None:
     """
     margin = float(LAGS_S[-1])
     first, last = max(t[0], wheels.t[0]) + margin, min(t[-1], wheels.t[-1]) - margin - TURN_WINDOW_S
-    start = np.arange(first, last, 0.5 * TURN_WINDOW_S)
+    start = _spaced(first, last, 0.5 * TURN_WINDOW_S)
     if len(start) < MIN_WINDOWS:
         return None
-    part = ((start - first) * math.ceil((last - first) / PART_S) / (last - first)).astype(np.int64)
+    parts = min(math.ceil((last - first) / PART_S), len(start) // MIN_WINDOWS)
+    part = ((start - first) * parts / (last - first)).astype(np.int64)
 
     def bends(at: Array, t: Array, xy: Array) -> NDArray[np.complex128]:
         step = np.asarray(changes(at, TURN_WINDOW_S, t, xy) @ (1.0, 1.0j), np.complex128)
@@ -307,6 +309,11 @@ def path_alike(wheels: Wheels, t: Array, xy: Array) -> float | None:
         if size > 0.0:
             found += [float(np.abs(summed(own * b)).sum()) / size for b in (theirs, theirs.conj())]
     return max(found)
+
+
+def _spaced(first: float, last: float, step: float) -> Array:
+    """Return times from `first` to `last` [s], at most MAX_COUNT: one wrong stamp may make a log decades long."""
+    return np.arange(first, last, max(step, (last - first) / MAX_COUNT))
 
 
 def _far(start: Array, t: Array, xy: Array) -> Array:

@@ -20,6 +20,7 @@ from locfuse.fusion.data import Evaluation
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import SOURCES
+from locfuse.fusion.streams import parts_of
 from locfuse.fusion.wheels.odometry import BODY_READS
 
 from .errors import has_scipy
@@ -173,6 +174,8 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool) -> None:
     if judged and (words := _behind_scans(loaded)):
         report["notes"].append(f"wheels: {words}")
     first = [note.words for note in loaded.choice.notes if note.first]
+    if loaded.window == (None, None):
+        first += [f"wheels: {part.clock.again}" for part in parts_of(loaded.stream("wheels")) if part.clock.again]
     for words in filter(None, (*first, _partial_motion(loaded))):
         report["headline"] = f"{words[0].upper()}{words[1:]}. {report['headline']}"
     if words := unused_words(loaded.choice):

@@ -139,6 +139,8 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
         for topic, (role, f) in used.items()
         if f.clock is not None and f.delay_s is not None and not f.clock.as_stamped
     ]
+    again = ((role, topic, f.clock.again) for topic, (role, f) in used.items() if f.clock is not None)
+    found += [Finding(role, "again", f"{topic}: {why}", severe=True) for role, topic, why in again if why]
     apart = _other_clocks(known, choice, robot)
     seconds = max((f.beside_s for _, f in used.values()), key=abs, default=0.0)
     if not apart and seconds:

@@ -39,6 +39,7 @@ SMALL_TYPES = (
     "sensor_msgs/msg/LaserScan",
 )
 MIN_MESSAGES, MAX_TOPICS = 20, 3
+MIN_REPEATED_SHARE = 0.9  # of the stamps after a step back: a log that was played in a loop
 SAME_CLOCK_NS = 10**9  # topics use one clock if their stamps' offsets from recording differ by less
 
 Others = Callable[[], tuple[Ints, Ints] | None]  # the result of common_clock
@@ -55,6 +56,7 @@ class RowTimes(msgspec.Struct, frozen=True):
     dropped: dict[str, int] = {}  # reason -> messages without a usable time
     notes: tuple[str, ...] = ()
     on_stamps: bool = False  # whether recording times were converted to the clock of other topics' stamps
+    again: str = ""  # words on stamps that run back and repeat
 
     @property
     def as_stamped(self) -> bool:
@@ -95,6 +97,8 @@ def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Othe
     recording times are converted to this clock.
     """
     clock = _settled(log_time, stamp, order)
+    if stamp is not None and (again := _played_again(log_time, stamp)):
+        return replace(clock, again=again)
     if clock.by_stamps or order != "auto" or (known := others()) is None:
         return clock
     return on_clock(clock, known)
@@ -121,6 +125,21 @@ def _settled(log_time: Ints, stamp: Ints | None, order: str) -> RowTimes:
     if 2 * trusted.sum() < len(stamp):
         return _recorded(log_time, stamp, trusted, "recording order: most header stamps contradict it")
     return _repaired(log_time, stamp, trusted, bad)
+
+
+def _played_again(log_time: Ints, stamp: Ints) -> str:
+    """Return a sentence if stamps (n,) run back and repeat earlier ones from there on, else ""."""
+    cuts = np.flatnonzero(np.diff(stamp) < -STEP_NS) + 1
+    longest, *others = sorted(np.split(np.arange(len(stamp)), cuts), key=len, reverse=True)
+    again = np.concatenate(others) if others else cuts
+    if len(again) < MIN_MESSAGES or np.isin(stamp[again], stamp[longest]).mean() < MIN_REPEATED_SHARE:
+        return ""
+    begin, end = ((log_time[longest[[0, -1]]] - log_time[0]) * 1e-9).tolist()
+    part = f"{f'--from {begin:.1f} ' if longest[0] else ''}--to {end:.1f}"
+    return (
+        f"{len(again)} header stamps run back and repeat earlier ones: the log was played in a loop while it was "
+        f"recorded, or a simulation was reset. Use one pass: {part}"
+    )
 
 
 def _by_stamp(log_time: Ints, stamp: Ints) -> RowTimes:

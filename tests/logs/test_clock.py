@@ -169,6 +169,19 @@ def test_a_clock_that_is_set_for_good_goes_on(since: int, by: int, of_larger: in
     assert clock.repaired == {"off the stream's clock": 100}
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_a_log_that_was_played_in_a_loop_says_which_part_is_one_pass(times: int) -> None:
+    log_time, stamp = recording()
+    passes = np.concatenate([log_time + k * 60 * S for k in range(times)])
+    words = settle(passes, np.tile(stamp, times)).again
+    assert f"{200 * (times - 1)} header stamps run back and repeat" in words
+    assert words.endswith(f"Use one pass: --to {(log_time[-1] - log_time[0]) / S:.1f}")
+    begun_late = settle(passes[50:], np.tile(stamp, times)[50:])
+    assert "Use one pass: --from " in begun_late.again
+    other = np.concatenate([stamp, stamp[:150] + S // 1000])  # a clock that was set
+    assert not settle(passes[:350], other).again
+
+
 def stalled(log_time: Ints, stamp: Ints) -> tuple[Ints, Ints]:
     """The recording stalls and catches up."""
     return np.where((np.arange(300) >= 100) & (np.arange(300) < 160), log_time[160], log_time), stamp

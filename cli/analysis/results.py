@@ -24,13 +24,14 @@ from locfuse.fusion.streams import parts_of
 from locfuse.fusion.wheels.odometry import BODY_READS
 
 from .errors import has_scipy
-from .load import Loaded
+from .load import EXACT_LASER, Loaded
 from .motion_evidence import MotionEvidence
 from .robot_tables import flat, make_robot
 from .settings import Asked
 from .topics import Note
 from .wheel_topics import steers, unused_words
 
+BY_SCANS = "scan matching does not show the mount"  # source of its sigmas, which are 0
 MIN_COVERED_SHARE = 0.8  # of the log's duration: a motion that covers less is reported
 VOIDABLE = (*ERROR_KEYS, "anees")  # figures that depend on errors
 REFUSED_SHARE = 0.01  # of a used sensor's readings: if more are refused, it is a loss
@@ -54,7 +55,8 @@ def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
     for path, value in flat(settings_tables(loaded.robot)).items():
         table, _, key = path.partition(".")
         if table not in loaded.drive.absent and plain.get(path) != value:
-            source = loaded.sources.get(path, "found in the log")
+            by_scans = loaded.drive.wheels.matched is not None and path in flat(EXACT_LASER)
+            source = loaded.sources.get(path, BY_SCANS if by_scans else "found in the log")
             found[path] = {"value": value, "unit": robot_toml.unit_of(table, key), "from": source}
     return found
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from bags import real_log
 from commands import reported
 
 import locfuse as api
@@ -100,3 +101,9 @@ def test_every_number_of_robot_toml_has_a_unit_or_is_known_to_have_none() -> Non
             if re.search(r"float|\bint\b", str(field.type)):
                 unit = robot_toml.unit_of(table, field.encode_name)
                 assert bool(unit) != (path in none or path.endswith(".gate")), path
+
+
+def test_the_exact_mount_of_scan_matching_is_not_said_to_be_in_the_log() -> None:
+    log = real_log("strangers/laser_only")
+    changed = reported("compare", log, "--no-advice", "--no-smooth").report["changed_settings"]
+    assert changed["lrf.sigma_x"]["from"] == "scan matching does not show the mount"

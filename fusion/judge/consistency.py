@@ -350,7 +350,8 @@ class NoiseEvidence:
             others = " and ".join(sorted(self.contradict - {sensor}))
             words = f"{sensor} and {others} contradict each other; no other sensor can tell which is wrong"
             return Consistency("contradicts", words)
-        for _, evidence in self.reference_runs(sensor)[:1]:
+        references = self.reference_runs(sensor)[:1]
+        for _, evidence in references:
             found = by_reference_run(sensor, settings, evidence)
             if found is not None:
                 return found
@@ -359,7 +360,12 @@ class NoiseEvidence:
         if run is not None and mine is not None and mine.compared >= MIN_READINGS:
             m = run.drive.measurements[sensor]
             if (period := usual_period(m.t)) is not None:
-                return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
+                found = by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
+                if found.verdict == "overstated" and references and len(mine.R) == 1:
+                    # its innovations hide slow errors, which the state follows, and the reference is too uncertain
+                    words = "noise cannot be judged: the runs without it are too uncertain to show slow errors"
+                    return Consistency("unclear", words)
+                return found
         own = [(s, o) for r in self.runs for s, o in r.own.items() if s != sensor]
         loud = sorted({s for s, o in own if o and o.scale > MAX_REFERENCE_NIS_RATIO})
         why = f"the noise of {' and '.join(loud)} must be set first" if loud else "too few measurements"

@@ -18,6 +18,7 @@ import locfuse
 from locfuse.cli.analysis.verdicts import unless_overconfident
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge import consistency
 from locfuse.fusion.judge.consistency import (
     Consistency,
     NoiseEvidence,
@@ -133,6 +134,16 @@ def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, fa
     assert f"{sensor}.{ {'compass': 'sigma_deg', 'lrf': 'sigma_range'}[sensor] }" in mine.fix_values
     assert f"noise is set too {'low' if verdict == 'understated' else 'high'}" in mine.words
     assert [c.verdict for c in found.values()] in (["consistent"], ["unclear"])
+
+
+def test_a_sigma_that_is_too_high_stays_open_if_runs_without_the_sensor_are_too_uncertain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(consistency, "by_reference_run", lambda *_: None)
+    robot = small_drive.robot()
+    found = complaints(robot, told(small_drive.drive(1, robot), "compass", 3.0))
+    assert found["compass"].verdict == "unclear"
+    assert found["compass"].fix_values == {}
 
 
 @pytest.mark.parametrize("exact", [True, False])

@@ -29,7 +29,7 @@ from .landmarks import of_landmarks
 from .laser import BUMP, laser_motion, of_laser, of_radius, of_sweep
 from .laser_ranges import of_angles, of_beam_angles, of_limit, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
-from .positions import of_positions
+from .positions import of_positions, with_fixes_as_truth
 from .raw_data import PUBLISHERS, STUCK, UNSIGNED, of_publishers, of_signs, of_stuck_wheel, of_wheel_unit
 from .start import of_start
 from .steering import ZERO, of_steering
@@ -184,7 +184,7 @@ def scales(
     size = of_size(drive, motion)
     if size:
         drive = replace(drive, truth=None)  # nothing can be compared with such a truth
-    factor, scaled = metre(drive, robot, least)
+    factor, scaled = metre(with_fixes_as_truth(drive, robot), robot, least)
     if robot.wheels.is_of_driver:
         scaled = [replace(o, fixes=(f"wheels.scale={robot.wheels.scale * factor:.4g}",)) for o in scaled]
     by_truth = wheels_metre(drive) is not None

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Ints, Measurements, Truth
@@ -26,7 +27,7 @@ from locfuse.fusion.wheels.motion import PART_S
 
 from .finding import Finding, Least
 from .tracked_point import Plane, axle_path
-from .truth import white_sigma
+from .truth import FIXES, white_sigma
 
 GPS, POSE, ANTENNA = "gps", "pose", "antenna"  # sensors; code of the finding on the antenna
 EAST, PATH = "east", "path"  # codes of the findings on the direction of east, on a mirrored or scaled path
@@ -205,6 +206,16 @@ def white_error(drive: Drive) -> float:
     turns: Plane = np.bincount(part, products.real) + 1.0j * np.bincount(part, products.imag)
     rest = steps - np.exp(1.0j * np.angle(turns))[part] * rolled
     return max(white_sigma(rest.real), white_sigma(rest.imag))
+
+
+def with_fixes_as_truth(drive: Drive, robot: Robot) -> Drive:
+    """Return the drive with the fixes of a GPS as its truth if it has none: they show the scale of the wheels."""
+    m = drive.measurements.get(GPS)
+    if m is None or drive.truth is not None or len(m.t) < MIN_WINDOWS:
+        return drive
+    settings, claimed = robot.settings(GPS), REGISTRY[GPS].claimed(m)
+    sigma = max(white_error(drive), claimed.get(REGISTRY[GPS].noise_keys[0], settings.sigma))
+    return replace(drive, truth=Truth(FIXES, m.t, m.z, None, (settings.x, settings.y), sigma))
 
 
 def of_claims(drive: Drive, robot: Robot) -> list[Finding]:

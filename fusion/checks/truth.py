@@ -39,6 +39,7 @@ MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5
 MIN_TRUTH_ERROR = 0.015  # least relative error of the truth's distances: lasers and wheels are right to about 1 %
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
+FIXES = "the fixes of the GPS"  # topic of a truth made of these
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which steps are compared
@@ -424,10 +425,9 @@ def metre(drive: Drive, robot: Robot, least: Least | None = None) -> tuple[float
     (factor, sigma), least = found, least or WORTH_SAYING
     if abs(factor - 1.0) < least.error + least.sigmas * sigma:
         return 1.0, []
-    words = (
-        f"they measure {abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1.0 else 'long'} by the truth "
-        f"(± {sigma:.1%})"
-    )
+    by_fixes = drive.truth is not None and drive.truth.topic == FIXES
+    source = f"by {FIXES} (± {sigma:.1%})" if by_fixes else f"by the truth (± {sigma:.1%})"
+    words = f"they measure {abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1.0 else 'long'} {source}"
     fixes, rival = wheels_fix(robot, factor, sigma)
     if not fixes and robot.wheels.estimate:
         return factor, []

@@ -13,7 +13,8 @@ from small_drive import drive, path, robot
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import differences
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.positions import of_antenna, of_claims, of_east, of_positions
+from locfuse.fusion.checks.positions import of_antenna, of_claims, of_east, of_positions, with_fixes_as_truth
+from locfuse.fusion.checks.truth import metre
 from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gps import GpsSettings
@@ -147,3 +148,12 @@ def test_fixes_that_scatter_more_than_claimed_are_named_without_truth() -> None:
     m, rng = one.measurements["gps"], np.random.default_rng(3)
     drifts = replace(m, z=seen("gps")[0].measurements["gps"].z + 0.1 * rng.normal(size=m.z.shape).cumsum(axis=0))
     assert of_claims(replace(one, truth=None, measurements={"gps": drifts}), tight) == []
+
+
+def test_fixes_show_the_scale_of_the_wheels_without_truth() -> None:
+    for times, sigma in ((1.1, 0.01), (1.0, 0.01), (1.0, 0.5)):  # errors of fixes make steps longer
+        one, settings = seen("gps", (0.3, -0.2, 0.0), times=times, sigma=sigma)
+        settings = replace(settings, sensors={"gps": GpsSettings(sigma=0.01, x=0.3, y=-0.2)})
+        factor, found = metre(with_fixes_as_truth(replace(one, truth=None), settings), settings)
+        assert factor == pytest.approx(times, abs=0.015)
+        assert ["by the fixes of the GPS" in f.message for f in found] == [True] * (times != 1.0)

@@ -24,6 +24,7 @@ from locfuse.fusion.streams import MAX_DELAY_S
 
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
+MICROSECONDS = 10**6  # in one second
 # ns. If a step of the stamps differs from the step of the recording times by more than JUMP_NS, the clock of the
 # stamps has changed. A difference from STEP_NS to JUMP_NS means this only if messages were recorded evenly: a
 # recorder that waits causes such a difference too
@@ -96,12 +97,33 @@ def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Othe
     None. `others` returns the clock of other topics' stamps (`common_clock`) or None; with `order` "auto",
     recording times are converted to this clock.
     """
-    clock = _settled(log_time, stamp, order)
-    if stamp is not None and (again := _played_again(log_time, stamp)):
+    in_ns = None if stamp is None else whole_ns(log_time, stamp)
+    clock = _settled(log_time, in_ns, order)
+    if in_ns is not None and (again := _played_again(log_time, in_ns)):
         return replace(clock, again=again)
+    if in_ns is not None and (n := int((in_ns != stamp).sum())):
+        words = (
+            f"{clock.words}; their nanoseconds are below {MICROSECONDS} in all {len(in_ns)} messages: they hold "
+        )
+        words += "microseconds, and are read as such. Let the driver write nanoseconds"
+        clock = replace(clock, words=words, repaired={**clock.repaired, "microseconds for nanoseconds": n})
     if clock.by_stamps or order != "auto" or (known := others()) is None:
         return clock
     return on_clock(clock, known)
+
+
+def whole_ns(log_time: Ints, stamp: Ints) -> Ints:
+    """Return stamps (n,) [ns]; microseconds in place of the nanoseconds within each second become nanoseconds.
+
+    They are below MICROSECONDS in all messages. Messages that come once per second, at its beginning, have such
+    stamps too: then only the stamps as they are follow the recording times `log_time` (n,) [ns].
+    """
+    part = stamp % 10**9
+    if len(stamp) < MIN_MESSAGES or part.max() >= MICROSECONDS:
+        return stamp
+    better = stamp - part + part * 1000
+    off, now = (np.abs(delay - np.median(delay)) for delay in (log_time - better, log_time - stamp))
+    return better if 2 * np.median(off) < np.median(now) else stamp
 
 
 def _settled(log_time: Ints, stamp: Ints | None, order: str) -> RowTimes:

@@ -319,6 +319,7 @@ class Log:
                 table = self.read({name: ()})[name]
                 if table.stamp is not None and table.log_time is not None and len(table.log_time):
                     stamp = np.asarray(table.columns[table.stamp]).astype(np.int64)
+                    stamp = clocks.whole_ns(table.log_time, stamp)
                     if clocks.settle(table.log_time, stamp).by_stamps:
                         pairs.append((table.log_time, stamp))
         return clocks.common_clock(pairs)

@@ -274,6 +274,11 @@ CLOCK_TRAPS = (
         "off the stream's clock)",
     ),
     Trap(
+        "stamps with microseconds for nanoseconds",
+        each(SCAN, lambda m: m._replace(stamp_ns=m.stamp_ns // S * S + m.stamp_ns % S // 1000)),
+        "they hold microseconds",
+    ),
+    Trap(
         "stamps that are all zero",
         each(WHEELS, lambda m: m._replace(stamp_ns=0)),
         "log time (all header stamps are zero)",

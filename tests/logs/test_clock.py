@@ -68,6 +68,18 @@ def test_order_recorded_takes_log_time_less_the_median_delay_without_repeated_st
     assert error(clock, stamp) < 0.006  # the jitter of the delay, 5 ms
 
 
+def test_microseconds_in_the_field_of_nanoseconds_are_read_as_such_and_whole_seconds_are_kept() -> None:
+    """A stamp of 1.25 s is written as 1 s and 250000 ns."""
+    log_time, stamp = recording()
+    clock = settle(log_time, stamp // S * S + stamp % S // 1000)
+    np.testing.assert_array_equal(clock.t_ns, stamp)
+    assert clock.by_stamps
+    assert "microseconds" in clock.words
+    log_time, stamp = recording(period=S)
+    stamp += np.random.default_rng(1).integers(0, 900_000, 200)
+    assert settle(log_time, stamp).as_stamped
+
+
 @pytest.mark.parametrize("seconds", [-3600.0, -3.0, 1.5])
 @pytest.mark.parametrize("number", [80, 120])
 def test_a_clock_that_is_set_while_it_is_recorded_goes_on_as_it_would_have(seconds: float, number: int) -> None:

@@ -16,7 +16,7 @@ from locfuse.fusion.streams import MergedStream, blank, count_dropped, numbers, 
 
 from . import odometry
 from .motion import Wheels
-from .repairs import Side, repaired
+from .repairs import Side, increments, repaired
 from .steered import MOTOR, is_tricycle, motor_speeds, read_encoders, twists_of
 
 JOINTS = "sensor_msgs/msg/JointState"
@@ -70,9 +70,21 @@ class Counters(NamedTuple):
 
 
 def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
-    """Read the counters of both wheels from a stream. Raises LocfuseError if it has none."""
-    if isinstance(stream, MergedStream):
-        return _pair(stream, settings)
+    """Read the counters of both wheels from a stream. Raises LocfuseError if it has none.
+
+    Ticks since the message before, in place of a counter, are summed.
+    """
+    counters = _pair(stream, settings) if isinstance(stream, MergedStream) else _one(stream, settings)
+    sides = counters.left, counters.right
+    if not counts_ticks(stream.msgtype) or not all(map(increments, sides)):
+        return counters
+    left, right = (side._replace(value=np.cumsum(side.value)) for side in sides)
+    note = "the ticks are 0 whenever a wheel stands: they count from message to message, and are summed"
+    return counters._replace(left=left, right=right, notes=(*counters.notes, note))
+
+
+def _one(stream: Stream, settings: WheelSettings) -> Counters:
+    """Read both wheels from one topic."""
     dropped = dict(stream.dropped)
     found = _found(stream, settings, dropped)
     keep = usable(found.t_ns, found.values, dropped)

@@ -16,6 +16,9 @@ JUMP_FACTOR, JUMP_SLACK_MPS, MIN_JUMP_M = 8.0, 0.5, 0.02
 MAX_HELD_FACTOR = 4.0  # largest ratio of the speeds before, during and after a time with a constant counter
 SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
 CAUGHT_UP = "stood still and then caught up"  # words of the note on such a time
+# of ticks since the message before: least time [s] and number of stretches at 0, readings that are more than an
+# encoder flickering on an edge, and least sum of the changes in spans; a counter must reverse as often to reach it
+MIN_REST_S, MIN_RESTS, MIN_SPAN_TICKS, MIN_SPANS = 1.0, 2, 3.0, 10.0
 MAX_FAST_SHARE = 0.1  # of all steps: more of them are not faults; the limit is wrong
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
@@ -71,6 +74,20 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     jumps = [f"by {jump:+.6g}" for jump in (steps[restarts] / metres).tolist()]
     notes += jump_notes(f"{side.name} counter", int(bad.sum()), "started anew", jumps)
     return Repaired(keep, distance, int(bad.sum()), (*notes, *still))
+
+
+def increments(side: Side) -> bool:
+    """Return whether the readings of a wheel are ticks since the message before, not a counter.
+
+    They change all the time while the wheel rolls, and are 0 whenever it stands. A counter stands at other values.
+    """
+    steps, span = np.diff(side.value), np.ptp(side.value)
+    if span < MIN_SPAN_TICKS or np.abs(steps).sum() < MIN_SPANS * span:
+        return False
+    rests = [(a, side.t[b + 1] - side.t[a]) for a, b in stretches(steps == 0.0)]
+    at_zero = [(side.value[a] == 0.0, length) for a, length in rests if length > MIN_REST_S]
+    zeros = [length for zero, length in at_zero if zero]
+    return len(zeros) >= MIN_RESTS and 2.0 * sum(zeros) > sum(length for _, length in at_zero)
 
 
 def held_note(what: str, t: Array, held: Mask) -> list[str]:

@@ -294,6 +294,27 @@ def test_two_unsynchronised_topics_are_one_pair_of_wheels(
     assert "not synchronised" in stderr
 
 
+def test_ticks_since_the_message_before_are_summed_and_a_counter_that_goes_to_and_fro_is_not(
+    tmp_path: Path,
+) -> None:
+    t = np.arange(800) / 20.0
+    speed = np.where(t % 10 > 4, 1.0, 0.0)[:, None] * np.random.default_rng(0).normal((8.0, 9.0), 0.5, (800, 2))
+    count = np.cumsum(np.rint(speed / (2 * np.pi) * TICKS / 20), axis=0).astype(np.int64)
+    steps = np.diff(count, axis=0, prepend=0)
+    how = (*GEOMETRY, "--set", f"wheels.ticks_per_revolution={TICKS}")
+    for name, ticks, summed in (
+        ("steps", steps, True),
+        ("counter", count, False),
+        ("to and fro", count % 1000, False),
+    ):
+        sides = zip(("/left_ticks", "/right_ticks"), ticks.T.tolist(), strict=True)
+        log = log_of(tmp_path / f"{name}.mcap", *(numbers(topic, "Int32", t, side) for topic, side in sides))
+        _, pose, stderr = run(log, *how)
+        assert ("are summed" in stderr) == summed
+        if name != "to and fro":
+            assert_pose(pose, pose_of(count * 2 * np.pi / TICKS), 1e-6)
+
+
 def test_a_pair_can_be_named_and_half_a_pair_is_one_clear_line(tmp_path: Path) -> None:
     pair = [numbers(f"/m{i + 1}", "Float64", T, ANGLE[:, i].tolist()) for i in (0, 1)]
     log = log_of(tmp_path / "odd.mcap", *pair)

@@ -32,6 +32,8 @@ JUMP_NS, STEP_NS, MIN_EVEN_STEPS = 10 * 10**9, 10**9, 10
 # ns, messages: a smaller difference counts if it stays over so many messages before and after it
 LASTING_NS, LASTING_MESSAGES = 250 * NS_PER_MS, 20
 MIN_PIECE_SHARE = 0.25  # share of messages; a smaller piece on the recording's clock is not preferred
+# of a drift: pieces of the log, ns over the log and after the recording, largest deviation from a straight line
+DRIFT_PARTS, MIN_DRIFT_NS, MAX_BEND_SHARE = 8, 50 * NS_PER_MS, 0.1
 # small message types with headers that most logs have; their stamps show which clock is used
 SMALL_TYPES = (
     "nav_msgs/msg/Odometry",
@@ -97,19 +99,34 @@ def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Othe
     None. `others` returns the clock of other topics' stamps (`common_clock`) or None; with `order` "auto",
     recording times are converted to this clock.
     """
-    in_ns = None if stamp is None else whole_ns(log_time, stamp)
-    clock = _settled(log_time, in_ns, order)
-    if in_ns is not None and (again := _played_again(log_time, in_ns)):
+    read, why, words = (stamp, "", "") if stamp is None else _reread(log_time, stamp)
+    clock = _settled(log_time, read, order)
+    if read is not None and (again := _played_again(log_time, read)):
         return replace(clock, again=again)
-    if in_ns is not None and (n := int((in_ns != stamp).sum())):
-        words = (
-            f"{clock.words}; their nanoseconds are below {MICROSECONDS} in all {len(in_ns)} messages: they hold "
-        )
-        words += "microseconds, and are read as such. Let the driver write nanoseconds"
-        clock = replace(clock, words=words, repaired={**clock.repaired, "microseconds for nanoseconds": n})
+    if clock.by_stamps and why:
+        clock = replace(clock, words=f"{clock.words}; {words}", repaired={**clock.repaired, why: len(log_time)})
     if clock.by_stamps or order != "auto" or (known := others()) is None:
         return clock
     return on_clock(clock, known)
+
+
+def _reread(log_time: Ints, stamp: Ints) -> tuple[Ints, str, str]:
+    """Return stamps (n,) [ns] with unit and rate set right, the reason in short and in words; "" if as written."""
+    read = whole_ns(log_time, stamp)
+    if read is not stamp:
+        words = (
+            f"their nanoseconds are below {MICROSECONDS} in all messages: they hold microseconds, and are read "
+        )
+        return read, "microseconds for nanoseconds", f"{words}as such. Let the driver write nanoseconds"
+    slope = drift(log_time, stamp)
+    if not slope:
+        return stamp, "", ""
+    first = log_time[0 if slope < 0.0 else -1]  # where no stamp is later than its recording
+    words = (
+        f"their clock is {abs(slope):.2%} too {'fast' if slope < 0.0 else 'slow'} by recording times, and some "
+    )
+    words += "are later than their recording: read at the rate of the recording"
+    return stamp + np.rint(slope * (log_time - first)).astype(np.int64), "drift", words
 
 
 def whole_ns(log_time: Ints, stamp: Ints) -> Ints:
@@ -124,6 +141,23 @@ def whole_ns(log_time: Ints, stamp: Ints) -> Ints:
     better = stamp - part + part * 1000
     off, now = (np.abs(delay - np.median(delay)) for delay in (log_time - better, log_time - stamp))
     return better if 2 * np.median(off) < np.median(now) else stamp
+
+
+def drift(log_time: Ints, stamp: Ints) -> float:
+    """Return the change of recording time - stamp per unit of time, if the clock of the stamps drifts; else 0.
+
+    Then it changes on a straight line, and stamps are later than their recording at one end of it. A recorder that
+    falls behind makes it grow too, but never negative.
+    """
+    if len(stamp) < DRIFT_PARTS * MIN_MESSAGES or not stamp.all():
+        return 0.0
+    since, delay = log_time - log_time[0], log_time - stamp
+    parts = np.array_split(np.arange(len(stamp)), DRIFT_PARTS)
+    t, off = np.array([[np.median(since[part]), np.median(delay[part])] for part in parts]).T
+    slope, at = np.polyfit(t, off, 1).tolist()
+    total, bend = abs(slope) * float(since[-1]), np.abs(off - at - slope * t).max()
+    far = off.min() > -MIN_DRIFT_NS or np.abs(off).max() > MAX_DELAY_S * 1e9
+    return 0.0 if far or total < MIN_DRIFT_NS or bend > MAX_BEND_SHARE * total else float(slope)
 
 
 def _settled(log_time: Ints, stamp: Ints | None, order: str) -> RowTimes:

@@ -80,6 +80,16 @@ def test_microseconds_in_the_field_of_nanoseconds_are_read_as_such_and_whole_sec
     assert settle(log_time, stamp).as_stamped
 
 
+@pytest.mark.parametrize("rate", [1.02, 0.98])
+def test_a_clock_that_drifts_past_the_recording_is_read_at_its_rate_and_one_that_waits_is_not(rate: float) -> None:
+    log_time, stamp = recording(400)
+    last = stamp[0 if rate > 1.0 else -1]
+    clock = settle(log_time, last + np.rint((stamp - last) * rate).astype(np.int64))
+    assert error(clock, stamp) < 0.002
+    assert "drift" in clock.repaired
+    assert settle(log_time + np.arange(400) * MS, stamp).as_stamped
+
+
 @pytest.mark.parametrize("seconds", [-3600.0, -3.0, 1.5])
 @pytest.mark.parametrize("number", [80, 120])
 def test_a_clock_that_is_set_while_it_is_recorded_goes_on_as_it_would_have(seconds: float, number: int) -> None:

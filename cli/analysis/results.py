@@ -207,6 +207,9 @@ def _partial_motion(loaded: Loaded) -> str:
     if span is None or loaded.window != (None, None):
         return ""
     covered, whole = float(t[-1] - t[0]), (span[1] - span[0]) * 1e-9
+    if (known := loaded.log.stamps_clock) is not None and len(known[0]) > 1:
+        stamped, recorded = known[1][[0, -1]], known[0][[0, -1]]
+        whole *= float((stamped[1] - stamped[0]) / (recorded[1] - recorded[0]))  # a simulation may run slower
     if covered >= MIN_COVERED_SHARE * whole:
         return ""
     topics = " and ".join(loaded.choice.of("wheels"))

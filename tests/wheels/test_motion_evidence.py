@@ -474,6 +474,12 @@ def test_what_makes_figures_doubtful_comes_before_them(said: list[list[Said]], w
     assert ("next:" in locfuse("init", log).stderr) == ("not move" not in words)
 
 
+def test_a_simulation_at_half_speed_is_covered_by_its_motion(tmp_path: Path) -> None:
+    slow = [m._replace(log_time=10**18 + 2 * m.log_time) for m in odometry(AT, WAY)]
+    done = ok("compare", log_of(tmp_path / "x.mcap", slow), "--no-advice", "-o", tmp_path / "out")
+    assert "covers" not in done.stdout
+
+
 def test_what_was_read_to_choose_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from locfuse.cli.analysis import load as loading
 

@@ -16,7 +16,7 @@ from locfuse.fusion.streams import MergedStream, blank, count_dropped, numbers, 
 
 from . import odometry
 from .motion import Wheels
-from .repairs import Side, increments, repaired
+from .repairs import Side, increments, repaired, spread
 from .steered import MOTOR, is_tricycle, motor_speeds, read_encoders, twists_of
 
 JOINTS = "sensor_msgs/msg/JointState"
@@ -95,12 +95,14 @@ def _one(stream: Stream, settings: WheelSettings) -> Counters:
     require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     zero_ns = int(found.t_ns[keep[0]])
     t = seconds(found.t_ns[keep], zero_ns)
-    values = found.values[keep]
+    values, bursts = found.values[keep], tuple[str, ...]()
     if found.speeds:  # integrated to angles by the trapezoidal rule
         values = totals(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None])
+    else:
+        t, bursts = spread(t, np.abs(np.diff(values, axis=0)).sum(axis=1))
     likely = (*found.likely, *_revolution(settings))
     left, right = (Side(name, t, values[:, i], likely) for i, name in enumerate(("left", "right")))
-    return Counters(left, right, zero_ns, dropped, found.notes)
+    return Counters(left, right, zero_ns, dropped, (*found.notes, *bursts))
 
 
 def _found(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> _Found:
@@ -179,7 +181,7 @@ def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
     """Read both wheels from two topics of numbers, which are not synchronised and have only recording times."""
     dropped: dict[str, int] = {}
     zero_ns = int(max(part.t_ns[0] if len(part.t_ns) else 0 for part in stream.parts))
-    sides = []
+    sides, notes = [], list[str]()
     for name, part in zip(("left", "right"), stream.parts, strict=True):
         values, own = numbers(part, "data"), dict(part.dropped)
         keep = usable(part.t_ns, values, own)
@@ -188,9 +190,11 @@ def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
             count_dropped(dropped, **{reason: n})
         bits = NUMBERS[part.msgtype]
         likely = (2.0**bits, *_revolution(settings)) if bits else _revolution(settings)
-        sides.append(Side(name, seconds(part.t_ns[keep], zero_ns), values[keep, 0], likely))
-    note = "the two topics are not synchronised: the right wheel is interpolated to the left one's instants"
-    return Counters(sides[0], sides[1], zero_ns, dropped, (note,))
+        t, bursts = spread(seconds(part.t_ns[keep], zero_ns), np.abs(np.diff(values[keep, 0])))
+        sides.append(Side(name, t, values[keep, 0], likely))
+        notes += bursts
+    notes.append("the two topics are not synchronised: the right wheel is interpolated to the left one's instants")
+    return Counters(sides[0], sides[1], zero_ns, dropped, tuple(dict.fromkeys(notes)))
 
 
 def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> _Found:
@@ -426,6 +430,7 @@ def _from_body(
         keep = keep[~lost]
     require_two(stream.topic, len(keep), len(stream.t_ns), dropped)
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
+    t, bursts = spread(t, np.hypot(*np.diff(values[keep, :2], axis=0).T)) if posed else (t, ())
     if commands:
         can = odometry.possible(values[keep, 3:], settings.max_speed)
         count_dropped(dropped, spike=~can)
@@ -436,6 +441,7 @@ def _from_body(
         count_dropped(dropped, spike=motion.spikes)
         t, twist, notes, doubt = t[motion.keep], motion.twist, motion.notes, motion.doubt
     require_two(stream.topic, len(t), len(stream.t_ns))
+    notes = (*notes, *bursts)
     if settings.x or settings.y or settings.yaw_deg:
         place = f"({settings.x:.3g}, {settings.y:.3g}) m on the base, at {settings.yaw_deg:.1f}°"
         notes = (*notes, f"its poses are of a body at {place} (wheels.x, wheels.y, wheels.yaw_deg)")

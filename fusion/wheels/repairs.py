@@ -19,6 +19,9 @@ CAUGHT_UP = "stood still and then caught up"  # words of the note on such a time
 # of ticks since the message before: least time [s] and number of stretches at 0, readings that are more than an
 # encoder flickering on an edge, and least sum of the changes in spans; a counter must reverse as often to reach it
 MIN_REST_S, MIN_RESTS, MIN_SPAN_TICKS, MIN_SPANS = 1.0, 2, 3.0, 10.0
+# of readings that arrive in bursts: least number, longest step in a burst in periods, least share of bursts of the
+# usual size, largest ratio of the ways (and times) from reading to reading within a burst and between two
+MIN_BURST_READINGS, MAX_CLOSE_PERIODS, MIN_USUAL_SHARE, MAX_WAY_RATIO = 100, 0.25, 0.8, 1.5
 MAX_FAST_SHARE = 0.1  # of all steps: more of them are not faults; the limit is wrong
 MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in any unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # longest duration of a spike
@@ -88,6 +91,36 @@ def increments(side: Side) -> bool:
     at_zero = [(side.value[a] == 0.0, length) for a, length in rests if length > MIN_REST_S]
     zeros = [length for zero, length in at_zero if zero]
     return len(zeros) >= MIN_RESTS and 2.0 * sum(zeros) > sum(length for _, length in at_zero)
+
+
+def spread(t: Array, way: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return times t (n,) [s] of readings, those that arrived in bursts made even, and a note on that.
+
+    A serial line may deliver several readings at once, which its driver stamps on arrival. Then the `way` (n-1,)
+    from reading to reading, in any unit, is as long within a burst as between two. The last reading of a burst
+    keeps its time.
+    """
+    step = np.diff(t)
+    if len(t) < MIN_BURST_READINGS:
+        return t, ()
+    close = step < MAX_CLOSE_PERIODS * float(t[-1] - t[0]) / len(step)
+    last = np.flatnonzero(np.append(~close, True))  # of each burst
+    size = np.diff(last, prepend=-1)
+    usual = int(np.median(size))
+    ways = [way[some & (way > 0.0)] for some in (close, ~close)]
+    if usual < 2 or (size == usual).mean() < MIN_USUAL_SHARE or not min(map(len, ways)):
+        return t, ()
+    if not 1.0 / MAX_WAY_RATIO < np.median(ways[0]) / np.median(ways[1]) < MAX_WAY_RATIO:
+        return t, ()
+    period = float(np.median(np.diff(t[last]))) / usual
+    apart = np.diff(t[last], prepend=-np.inf) / size
+    apart[apart > MAX_WAY_RATIO * period] = period  # a burst was lost
+    burst = np.repeat(np.arange(len(last)), size)
+    words = (
+        f"stamps come in bursts of {usual} every {usual * period:.3f} s, but the way between readings is even: "
+    )
+    words += "the times are made even. Let the driver stamp when it measures"
+    return t[last][burst] - (last[burst] - np.arange(len(t))) * apart[burst], (words,)
 
 
 def held_note(what: str, t: Array, held: Mask) -> list[str]:

@@ -39,6 +39,9 @@ OTHER_YAWS_RAD = (math.pi, 0.5 * math.pi, -0.5 * math.pi)
 # unexplained share of the walls' distance changes: for a good fit, for a usable one
 MAX_REST, MAX_TELLING_REST = 0.5, 1.0
 MIN_APPROACH_M = 0.01  # m
+MAX_INVERSE_SHARE = (
+    0.75  # of the rest that another yaw alone leaves: medians of MIN_WALLS walls differ less by chance
+)
 STRETCH_COUNT = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
@@ -79,6 +82,7 @@ class WallMotion(NamedTuple):
     walls: int
     by_slips: float = 0.0  # 1 sigma of the difference of `turns` between drives by slip
     bump: tuple[float, float] | None = None  # s, rad: time and size of a step of its yaw
+    inverse: tuple[float, float] | None = None  # m, x and y of the inverse of the configured mount, if that fits
 
 
 def laser_motion(drive: Drive, robot: Robot, offset: float) -> WallMotion | None:
@@ -105,7 +109,28 @@ def laser_motion(drive: Drive, robot: Robot, offset: float) -> WallMotion | None
     turns, turns_sigma = turned(walls), float(_spread(turned, walls))
     by_slips = slip_sigma(drive.wheels, t)
     bump = bumped(walls, scale)
-    return WallMotion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips, bump)
+    far = abs(yaw) > MIN_YAW_ERROR_RAD + MIN_SIGMAS * yaw_sigma
+    inverse = _inverse(m, t, drive, settings, found) if far else None
+    return WallMotion(
+        scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips, bump, inverse
+    )
+
+
+def _inverse(
+    m: Measurements, t: Array, drive: Drive, settings: LrfSettings, found: Looking
+) -> tuple[float, float] | None:
+    """Return x, y [m] of the inverse of the configured mount, if walls fit this mount clearly better; else None.
+
+    Parent and child of the mount's transform are then exchanged. `found` is the fit with only another yaw.
+    """
+    yaw = math.radians(settings.yaw_deg)
+    mount = np.array([settings.x, settings.y])
+    place = -se2.rotated(np.array([-yaw]), mount)[0]
+    if abs(se2.wrap(found.yaw - 2.0 * yaw)) > MIN_YAW_ERROR_RAD or not np.abs(place - mount).max() > SIGMA_M:
+        return None
+    other = _looking(_turned(m, 0.0, mount, place), t, drive, place, 2.0 * yaw)
+    better = other is not None and other.rest < MAX_INVERSE_SHARE * found.rest
+    return (float(place[0]), float(place[1])) if better else None
 
 
 def bumped(walls: WallPairs, scale: float) -> tuple[float, float] | None:
@@ -182,12 +207,15 @@ def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) 
     return Looking(walls, scale, yaw, rest / max(float(np.median(np.abs(along))), MIN_APPROACH_M))
 
 
-def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
-    """Return the lines in the base frame for a laser yaw that is `yaw` [rad] less than configured."""
+def _turned(m: Measurements, yaw: float, mount: Array, place: Array | None = None) -> Measurements:
+    """Return the lines in the base frame for a laser yaw that is `yaw` [rad] less than configured.
+
+    If it is given, the laser is at `place`, not at `mount` (2,) [m].
+    """
     r, psi = m.z.T
     own = r - np.cos(psi) * mount[0] - np.sin(psi) * mount[1]
-    psi = psi - yaw
-    return replace(m, z=np.stack((own + np.cos(psi) * mount[0] + np.sin(psi) * mount[1], psi), axis=-1))
+    psi, (x, y) = psi - yaw, mount if place is None else place
+    return replace(m, z=np.stack((own + np.cos(psi) * x + np.sin(psi) * y, psi), axis=-1))
 
 
 def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = None) -> list[Finding]:
@@ -265,8 +293,12 @@ def of_laser(
             f"walls come nearer as they would with a yaw of {math.degrees(yaw):z.0f} deg, not of "
             f"{settings.yaw_deg:.0f} deg as configured"
         )
-        fix = f"lrf.yaw_deg={math.degrees(yaw):z.1f}"
-        return [Finding("lrf", "yaw", words, (fix,), abs(motion.yaw) > SEVERE_YAW_ERROR_RAD)]
+        fixes: tuple[str, ...] = (f"lrf.yaw_deg={math.degrees(yaw):z.1f}",)
+        if motion.inverse is not None:
+            x, y = motion.inverse
+            words += ": its transform seems to be inverted, with parent and child exchanged"
+            fixes = f"lrf.x={x:z.4g}", f"lrf.y={y:z.4g}", f"lrf.yaw_deg={-settings.yaw_deg:z.4g}"
+        return [Finding("lrf", "yaw", words, fixes, abs(motion.yaw) > SEVERE_YAW_ERROR_RAD)]
     scale = motion.scale * metre
     if abs(scale - 1.0) < least.error + least.sigmas * motion.scale_sigma:
         return []

@@ -99,6 +99,21 @@ def test_the_laser_s_yaw_is_measured_by_how_walls_come_nearer(yaw_deg: float) ->
     assert told(of_laser(motion, robot()))["lrf.yaw_deg"] == pytest.approx(wrapped, abs=2)
 
 
+@pytest.mark.parametrize("place", [(0.2, 0.1), (-0.1, 0.2)], ids=["inverted", "turned"])
+def test_an_inverted_mount_is_told_from_one_with_another_yaw(place: tuple[float, float]) -> None:
+    """A mount of (0.2, 0.1) m and 90 degrees has the inverse (-0.1, 0.2) m and -90 degrees, as configured."""
+    healthy, wrong = drive(2, robot()), robot(lrf={"x": -0.1, "y": 0.2, "yaw_deg": -90.0})
+    m = healthy.measurements["lrf"]
+    r, psi = m.z.T
+    own = r - np.cos(psi) * place[0] - np.sin(psi) * place[1]
+    psi = psi - math.pi
+    z = np.stack((own - 0.1 * np.cos(psi) + 0.2 * np.sin(psi), psi), axis=-1)
+    motion = laser_motion(replace(healthy, measurements={"lrf": replace(m, z=z)}), wrong, 0.0)
+    found = told(of_laser(motion, wrong))
+    assert found["lrf.yaw_deg"] == pytest.approx(90.0, abs=2.0)
+    assert (found.get("lrf.x"), found.get("lrf.y")) == (place if place[0] > 0.0 else (None, None))
+
+
 @pytest.mark.parametrize("yaw_deg", [-8.0, 0.0, 8.0])
 def test_walls_that_come_nearer_by_less_than_their_noise_tell_neither_metre_nor_yaw(yaw_deg: float) -> None:
     """A depth camera on a robot that mostly turns on the spot."""

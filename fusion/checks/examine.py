@@ -26,7 +26,7 @@ from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .gyro import of_gyro, of_saturation
 from .landmarks import of_landmarks
-from .laser import BUMP, laser_motion, of_laser, of_radius, of_sweep
+from .laser import BUMP, SLIPPING, laser_motion, of_laser, of_radius, of_slipping, of_sweep
 from .laser_ranges import of_angles, of_beam_angles, of_limit, of_offset, of_range_unit, of_scatter, unreturned
 from .points import of_points
 from .positions import of_positions, with_fixes_as_truth
@@ -66,7 +66,9 @@ MIN_COVERED_SHARE = 0.5  # of the drive, by the times of a sensor
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # least motion in a hole: m, rad, share of the drive's distance; over a smaller one, wheel odometry is good enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
-MIXED = frozenset({EQUAL, PUBLISHERS, STUCK, UNIT, UNSIGNED})  # codes of findings that make all other checks wrong
+MIXED = frozenset(
+    {EQUAL, PUBLISHERS, SLIPPING, STUCK, UNIT, UNSIGNED}
+)  # codes of findings that make all other checks wrong
 HELD = "held"  # code of the finding on counters that stood still while the robot drove far, and then caught up
 CARRIED = "carried"  # code of the finding on a robot that moves while its wheels stand
 # while the wheels stand, least motion of the truth: m, sigmas of its noise; least turn of the laser: rad
@@ -90,8 +92,8 @@ def examine(
         found += [Finding("truth", "seen", note) for note in heading_notes(drive.truth, streams["truth"].msgtype)]
     found += _refused(drive)
     found += of_data(drive, robot, streams.__getitem__)
-    if mixed := {f.code for f in found} & MIXED:  # with stuck counters, the start is still known
-        return [*found, *(_start(drive, robot) if mixed == {STUCK} else [])]
+    if mixed := {f.code for f in found} & MIXED:  # with stuck or slipping wheels, the start is still known
+        return [*found, *(_start(drive, robot) if mixed <= {STUCK, SLIPPING} else [])]
     for name, m in drive.measurements.items():
         found += _of_times(name, m.t, drive)
         found += [Finding(name, "seen", note) for note in m.notes]
@@ -339,7 +341,8 @@ def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list
         found += of_publishers(name, stream(name), m.two_sources)
         found += of_range_unit(m, robot.settings("lrf")) if name == "lrf" else []
         found += blind(name, m, float(robot.settings(name).time_offset), stream)
-    return [*found, *of_equal_stamps(drive, stream)]
+    found += of_equal_stamps(drive, stream)
+    return found or of_slipping(drive, robot, stream)
 
 
 def blind(name: str, m: Measurements, time_offset: float, stream: Callable[[str], Stream]) -> list[Finding]:

@@ -49,6 +49,10 @@ SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
 MIN_RANGE_FACTOR, MAX_RANGE_FACTOR = 0.5, 2.0  # plausible factors on a laser's distances
 OPEN_SCALE = "distances"  # code: laser and wheels differ, the log does not show which is wrong
 BUMP = "bumped"  # code of the finding on a step of its yaw
+SLIPPING = "slips"  # code of the finding on wheels that slip sideways
+# of wheels that drive sideways: least ratio of the ways in both directions, largest correlation of turns with the
+# way sideways. A body off the axle moves sideways in turns only
+MIN_SIDEWAYS_SHARE, MAX_OF_TURNS = 0.2, 0.7
 MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors, as the best of many times is taken
 BUMP_STRETCHES = 20  # of the drive, with independent errors
 MIN_BUMP_SHARE = 0.2  # of the walls, before and after the step: 4 stretches, whose spread is known
@@ -182,6 +186,34 @@ def _along_across(walls: WallPairs) -> tuple[Array, Array]:
     """Return the laser's motion along each wall's normal, and to the left of it, (k,) [m] each."""
     n, d = walls.n, walls.d
     return (n * d).sum(axis=1), n[:, 1] * d[:, 0] - n[:, 0] * d[:, 1]
+
+
+def of_slipping(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:
+    """Return a finding on wheels that drive sideways, and measure that in another scale than the way ahead.
+
+    `stream` returns the raw readings of a role.
+    """
+    ways, m = np.abs(drive.wheels.twist).sum(axis=0), drive.measurements.get("lrf")
+    both = min(ways[:2]) > MIN_SIDEWAYS_SHARE * max(ways[:2])
+    if m is None or drive.wheels.matched is not None or not both or not ways[2]:
+        return []
+    if abs(np.corrcoef(drive.wheels.twist[:, 1:].T)[0, 1]) > MAX_OF_TURNS:
+        return []
+    settings = robot.settings("lrf")
+    found = _looking(m, m.t, drive, np.array([settings.x, settings.y]), 0.0)
+    share = None if found is None or found.rest > MAX_REST else slipping(found.walls)
+    if found is None or share is None:
+        return []
+    sigma = float(_spread(slipping, found.walls))
+    if not abs(share - 1.0) > WORTH_SAYING.error + WORTH_SAYING.sigmas * sigma:
+        return []
+    size = f"{abs(share - 1.0):.1%} too {'short' if share < 1.0 else 'long'}"
+    words = (
+        f"by the laser's walls the ways sideways are {size} if those ahead are right (1 sigma {sigma:.1%}): they "
+        "slip, and no scale corrects that. Use the motion from scan to scan"
+    )
+    fix = f"wheels.topic={stream('lrf').topic}"
+    return [Finding("wheels", SLIPPING, words, (fix,), abs(share - 1.0) > SEVERE_SCALE_ERROR)]
 
 
 class Looking(NamedTuple):
@@ -323,16 +355,27 @@ def range_fix(robot: Robot, factor: float) -> tuple[str, ...]:
 
 def fitted(walls: WallPairs) -> tuple[float, float] | None:
     """Return the laser's scale (wheel distance per laser distance) and yaw error [rad]; None for few walls."""
-    along, across = _along_across(walls)
-    A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
+    x = _solved(walls, np.stack(_along_across(walls), axis=-1))
+    length = 0.0 if x is None else float(np.hypot(*x))
+    return (1.0 / length, math.atan2(float(x[1]), float(x[0]))) if x is not None and length > 0.2 else None
+
+
+def slipping(walls: WallPairs) -> float | None:
+    """Return the way sideways by the wheels per true way, if the ways ahead are right; None for few walls."""
+    x = _solved(walls, np.column_stack((walls.n * walls.d, _along_across(walls)[1])))
+    return None if x is None or min(x[:2]) < MIN_RANGE_FACTOR else float(x[0] / x[1])
+
+
+def _solved(walls: WallPairs, A: Array) -> Array | None:
+    """Return the robust least-squares solution (c,) of A (k, c) for the walls' distances; None for few walls."""
+    keep = np.ones(len(A), dtype=bool)
     for _ in range(4):
         if keep.sum() < MIN_WALLS:
             return None
         x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
         rest = np.abs(walls.y - A @ x)
         keep = rest <= 3.0 / MAD_OF_NORMAL * max(float(np.median(rest[keep])), 1e-4)
-    length = float(np.hypot(*x))
-    return (1.0 / length, math.atan2(float(x[1]), float(x[0]))) if length > 0.2 else None
+    return np.asarray(x)
 
 
 def turned(walls: WallPairs) -> float | None:

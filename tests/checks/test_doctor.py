@@ -24,7 +24,16 @@ from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import examine, gaps, scales, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.gyro import of_gyro
-from locfuse.fusion.checks.laser import WallMotion, WallPairs, bumped, laser_motion, of_laser, of_radius, range_fix
+from locfuse.fusion.checks.laser import (
+    WallMotion,
+    WallPairs,
+    bumped,
+    laser_motion,
+    of_laser,
+    of_radius,
+    range_fix,
+    slipping,
+)
 from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.start import start_pose
 from locfuse.fusion.checks.tracked_point import swing_by_positions
@@ -97,6 +106,16 @@ def test_the_laser_s_yaw_is_measured_by_how_walls_come_nearer(yaw_deg: float) ->
     assert abs(se2.wrap(-motion.yaw - math.radians(yaw_deg))) < math.radians(2.0)
     wrapped = math.degrees(se2.wrap(math.radians(yaw_deg)))
     assert told(of_laser(motion, robot()))["lrf.yaw_deg"] == pytest.approx(wrapped, abs=2)
+
+
+def test_ways_sideways_are_compared_with_walls_apart_from_those_ahead() -> None:
+    rng = np.random.default_rng(3)
+    angle, moved = rng.uniform(-np.pi, np.pi, 400), rng.uniform(-0.3, 0.3, (400, 2))
+    n, zero = np.column_stack((np.cos(angle), np.sin(angle))), np.zeros(400)
+    y = (n * moved).sum(axis=1) + rng.normal(0.0, 0.005, 400)
+    walls = WallPairs(y, n, moved * [1.0, 0.88], zero, zero, np.arange(400.0), np.arange(400.0))
+    assert slipping(walls) == pytest.approx(0.88, abs=0.005)
+    assert slipping(walls._replace(d=1.1 * moved)) == pytest.approx(1.0, abs=0.005)
 
 
 @pytest.mark.parametrize("place", [(0.2, 0.1), (-0.1, 0.2)], ids=["inverted", "turned"])

@@ -154,7 +154,12 @@ class Evidence(NoiseFindings):
         found, truth = (f for f in self.doctor if f.code == START and f.fixes), self.loaded.drive.truth
         by_shape = () if truth is None else start_by_shape(truth, self.loaded.drive)
         ways = ((f, (f.fixes, by_shape) if by_shape else (f.fixes,)) for f in found)
-        candidates = [replace(self._candidate(f, either, not f.severe), measured=True) for f, either in ways]
+        drift = tuple(
+            n for n, c in self.trial.configurations.items() if not any(REGISTRY[s].locates for s in c.sensors)
+        )
+        candidates = [
+            replace(self._candidate(f, either, not f.severe), measured=True, drifting=drift) for f, either in ways
+        ]
         if candidates or not by_shape or any(fix.startswith("start.") for fix in self.fixes):
             return candidates
         # wheels that slip hide how the path of positions is turned: only a trial shows it

@@ -253,6 +253,9 @@ class Candidate(msgspec.Struct, frozen=True):
     proven: bool = False
     guards: tuple[str, ...] = ()  # configurations whose ANEES must stay in its chance range
     by_shape: bool = False  # may be judged after alignment, since the position of its map is not observed
+    drifting: tuple[
+        str, ...
+    ] = ()  # those judges whose drift may cancel a wrong start: by shape if their error grows
 
     @property
     def key(self) -> tuple[str, str]:
@@ -562,7 +565,10 @@ def judged_pairs(candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, sh
         if not found:
             return {}
         before, after = found[name]
-        one, other = readable(*((before.of_shape(), after.of_shape()) if shape else (before, after)))
+        shapes = readable(before.of_shape(), after.of_shape())
+        one, other = shapes if shape else readable(before, after)
+        if name in candidate.drifting and worsens(one, other):
+            one, other = shapes
         # after one error fell to less than half, others may get worse by chance
         right = candidate.measured and turns_right(one, other)
         chance = name in candidate.minor or settled or right

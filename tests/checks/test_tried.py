@@ -362,6 +362,17 @@ def test_odometry_lucky_under_a_wrong_start_hinders_no_fix_whoever_is_asked_firs
     assert judged_pairs(start, (), fixes, trial(not_cured)) == {}
 
 
+@pytest.mark.parametrize("drifting", [True, False])
+def test_a_drift_that_cancels_a_wrong_start_hinders_no_fix_of_the_start(drifting: bool) -> None:
+    """A start 1.3 deg off over 6 m is 0.14 m: odometry drifts as far the other way, the laser does not."""
+    before = {"odometry": Marks(0.07, 180.0, BOUNDS, shape=0.03), "lrf": Marks(0.104, 900.0, BOUNDS, shape=0.005)}
+    after = {"odometry": Marks(0.139, 0.29, BOUNDS, shape=0.03), "lrf": Marks(0.008, 0.95, BOUNDS, shape=0.005)}
+    start = Candidate(Finding("truth", "start", "off"), (("start.theta_deg=-1.3",),), ("lrf", "odometry"))
+    start = replace(start, drifting=("odometry",) if drifting else ())
+    (found,) = found_in([start], lambda fixes, names: {n: (after if fixes else before)[n] for n in names})
+    assert found.helps == drifting
+
+
 @pytest.mark.parametrize("needed", [True, False])
 def test_a_fix_of_noise_before_its_cause_was_known_is_kept_only_if_it_still_helps(needed: bool) -> None:
     noise = "lrf.sigma_range=0.1"

@@ -153,8 +153,8 @@ def was_chance(before: Marks, after: Marks) -> bool:
 
 
 def leaves(before: Marks, after: Marks) -> bool:
-    """Return whether a fix moves the ANEES from inside its chance range to far outside."""
-    return before.bounds is not None and _off(before) == 0.0 and _off(after) > MAX_LN_ANEES_LOSS
+    """Return whether a fix moves the ANEES farther out of its chance range."""
+    return before.bounds is not None and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
 
 
 def improves(before: Marks, after: Marks) -> bool:

@@ -169,6 +169,7 @@ RATIO = Candidate(
     ("odometry", "gyro"),
     ("odometry",),
 )
+SLIPS = Candidate(Finding("wheels", "noise", "slips"), (("wheels.noise=0.004",),), ("lrf",), guards=("odometry",))
 MOUNT = replace(LATE, minor=("lrf",), measured=True)
 Pair = tuple[Marks, Marks]  # before and after
 STILL = Marks(0.0035), Marks(0.0035)
@@ -176,6 +177,10 @@ STILL = Marks(0.0035), Marks(0.0035)
 
 def error(before: float, after: float) -> Pair:
     return Marks(before), Marks(after)
+
+
+def smaller(before: float, after: float) -> Pair:
+    return Marks(0.1, before, BOUNDS), Marks(0.1, after, BOUNDS)
 
 
 def turned(before: float, heading_before: float, after: float, heading_after: float) -> Pair:
@@ -249,6 +254,17 @@ def nats(before: float, after: float) -> Pair:
         (RATIO, {"odometry": turned(6.3, 68.0, 1.1, 11.0), "gyro": turned(0.42, 0.4, 0.43, 1.0)}, False),
         (RATIO, {"odometry": turned(6.3, 68.0, 1.1, 66.0), "gyro": turned(0.42, 0.4, 0.43, 0.6)}, False),
         (RATIO, {"odometry": turned(6.3, 68.0, 4.1, 11.0), "gyro": turned(0.42, 0.4, 0.43, 0.6)}, False),
+        # noise of the wheels: that of odometry is too large already, and may not become larger still
+        (
+            SLIPS,
+            {"lrf": (Marks(0.1, 7.0, BOUNDS), Marks(0.1, 3.0, BOUNDS)), "odometry": smaller(0.26, 0.25)},
+            True,
+        ),
+        (
+            SLIPS,
+            {"lrf": (Marks(0.1, 7.0, BOUNDS), Marks(0.1, 3.0, BOUNDS)), "odometry": smaller(0.26, 0.03)},
+            False,
+        ),
         # what nobody would keep may lose what chance does and no more
         (replace(BIASED, minor=("compass",)), {"all": error(0.006, 0.004), "compass": error(0.03, 0.033)}, True),
         (BIASED, {"all": error(0.006, 0.004), "compass": error(0.03, 0.033)}, False),

@@ -39,7 +39,7 @@ from locfuse.fusion.checks.laser_ranges import BEAM_ANGLES, OFFSET
 from locfuse.fusion.checks.pictures import MIRRORED_SHARE, RIMS, turning_along
 from locfuse.fusion.checks.points import MAP, SCALE as RANGE_SCALE
 from locfuse.fusion.checks.slip import of_spins
-from locfuse.fusion.checks.start import START, start_by_shape
+from locfuse.fusion.checks.start import START, start_by_path, start_by_shape
 from locfuse.fusion.checks.steering import ZERO
 from locfuse.fusion.checks.tracked_point import AHEAD, CREEP, POINT, YAW, of_point, swing
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, by_key, keys, together
@@ -121,7 +121,7 @@ class Evidence(NoiseFindings):
         """
         return (
             (self.truth,),
-            (self.start, self.clocks, self.other_clocks, self.geometry),
+            (self.start, self.clocks, self.other_clocks, self.geometry, self.start_at_last),
             (
                 self.offsets,
                 self.claims,
@@ -153,13 +153,9 @@ class Evidence(NoiseFindings):
         """Return the finding on a wrong start, which is fixed first since it affects every error."""
         found, truth = (f for f in self.doctor if f.code == START and f.fixes), self.loaded.drive.truth
         by_shape = () if truth is None else start_by_shape(truth, self.loaded.drive)
-        ways = ((f, (f.fixes, by_shape) if by_shape else (f.fixes,)) for f in found)
-        drift = tuple(
-            n for n, c in self.trial.configurations.items() if not any(REGISTRY[s].locates for s in c.sensors)
-        )
-        candidates = [
-            replace(self._candidate(f, either, not f.severe), measured=True, drifting=drift) for f, either in ways
-        ]
+        by_path = tuple(f.fixes for f in self._start_by_path)
+        ways = ((f, by_path or tuple(filter(None, (f.fixes, by_shape)))) for f in found)
+        candidates = [replace(self._start(f, either), offer=not f.severe) for f, either in ways]
         if candidates or not by_shape or any(fix.startswith("start.") for fix in self.fixes):
             return candidates
         # wheels that slip hide how the path of positions is turned: only a trial shows it
@@ -169,6 +165,27 @@ class Evidence(NoiseFindings):
             return []
         words = f"by the shape of its first metres the start is turned by {turned:.0f}°"
         return [self._candidate(Finding("truth", START, words), (by_shape,), True)]
+
+    def _start(self, finding: Finding, ways: tuple[Fixes, ...]) -> Candidate:
+        known = self.trial.configurations
+        drifting = tuple(n for n, c in known.items() if not any(REGISTRY[s].locates for s in c.sensors))
+        return replace(self._candidate(finding, ways), measured=True, drifting=drifting)
+
+    @cached_property
+    def _start_by_path(self) -> list[Finding]:
+        """Findings on the start by the whole path of the laser, if the truth's first readings are less exact."""
+        drive, robot = self.loaded.drive, self.loaded.robot
+        if drive.truth is None or not self._starts_in_map:
+            return []
+        paths = ((e.truth_pose, e.truth_P) for e in self.runs_alone(LASER))
+        found = (
+            start_by_path(drive.truth, x, P, drive, robot) for x, P in paths if x is not None and P is not None
+        )
+        return [f for f in found if f is not None]
+
+    def start_at_last(self) -> list[Candidate]:
+        """Return the finding on a start that only the laser's whole path shows, on clocks and points set right."""
+        return [self._start(f, (f.fixes,)) for f in self._start_by_path]
 
     @cached_property
     def _lags(self) -> dict[tuple[str, str], Lag]:

@@ -64,8 +64,12 @@ class Judged:
         if loaded is None or (any(loaded.window) and not loaded.how.beside_hole):
             return []  # checks need whole drives
         found = examined(loaded, WORTH_TRYING)
-        known = self.trial.align == "none" and not loaded.how.begin
-        return [f for f in found if f.code != FEW and (f.code != START or known)]
+        return [f for f in found if f.code != FEW and (f.code != START or self._starts_in_map)]
+
+    @property
+    def _starts_in_map(self) -> bool:
+        """Whether errors count from the start that is configured."""
+        return self.trial.align == "none" and not self.loaded.how.begin
 
     def _looks_wrong(self, sensor: str) -> bool:
         """Return whether a sensor's residuals are unusual, or its run is inconsistent."""

@@ -9,11 +9,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Truth
+from locfuse.fusion.data import Array, Drive, Ints, Truth
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.statistics import jackknife, robust_sigma
 from locfuse.fusion.wheels.motion import STANDS_M
 
 from .finding import Finding
+from .tracked_point import axle_path
 
 START = "start"  # code of the finding
 SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
@@ -22,6 +24,8 @@ DRIVES_S = 0.5  # s after the first reading: a robot that drives rolls more than
 START_SIGMAS = 3.0  # of the combined sigma of configured and true start
 SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive that are used to find the start pose: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
+PATH_PARTS, MIN_PATH_POSES = 8, 40  # parts of a run's path, each left out once; poses of the truth beside it
+FEW_READINGS = 5  # fewer readings do not show their noise
 
 
 def of_start(
@@ -63,8 +67,20 @@ def of_start(
     )
     degrees = math.degrees(se2.wrap(theta))
     moments = (f"start.at={at:.2f}",) if fitted.t else ()
-    unsure = (f"start.sigma_theta_deg={math.degrees(aside):.1f}",) if aside else ()
-    fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={degrees:.1f}", *unsure, *moments)
+    unsure = [f"start.sigma_theta_deg={math.degrees(aside):.1f}"] if aside else []
+    if truth.theta is not None and not (aside or by_points) and START_SIGMAS * fitted.sigma > MIN_START_ERROR_RAD:
+        unsure = [
+            f"start.sigma_xy={fitted.spread / math.sqrt(2.0):.3f}",
+            f"start.sigma_theta_deg={math.degrees(fitted.sigma):.1f}",
+        ]
+    digits = 1 if truth.theta is None else 2
+    fixes = (
+        f"start.x={x:.3f}",
+        f"start.y={y:.3f}",
+        f"start.theta_deg={round(degrees, digits)}",
+        *unsure,
+        *moments,
+    )
     return [Finding("truth", START, words, fixes, severe)]
 
 
@@ -75,6 +91,47 @@ def start_by_shape(truth: Truth, drive: Drive) -> tuple[str, ...]:
         return ()
     x, y, theta = fitted.pose.tolist()
     return f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={math.degrees(theta):.1f}"
+
+
+def start_by_path(truth: Truth, path: Array, P: Array, drive: Drive, robot: Robot) -> Finding | None:
+    """Return the finding on a wrong start by the path of a run; None if the first readings show it better.
+
+    `path` (q, 3) are the run's poses at the truth's stamps, `P` (q, 3, 3) their covariances. All of it is laid on
+    the truth, and the start moves with it. Errors are those of a jackknife over PATH_PARTS parts of the drive, and
+    what the run claims: its map may be turned at the start.
+    """
+    first, known = start_pose(truth, drive), np.isfinite(path[:, 0])
+    if first is None or first.t != float(drive.wheels.t[0]) or robot.start.at or known.sum() < MIN_PATH_POSES:
+        return None
+    own = path[known, :2] + se2.rotated(path[known, 2], np.tile(truth.point, (int(known.sum()), 1)))
+    seen, configured = truth.xy[known], np.array(robot.start.pose)
+
+    def moved(rows: Ints) -> Array:
+        a, b = own[rows], seen[rows]
+        turn, _ = se2.laid_on(a, b)
+        place = b.mean(axis=0) + se2.rotated(np.array(turn), configured[:2] - a.mean(axis=0))
+        return np.array([*place, configured[2] + turn])
+
+    sigma = jackknife(moved, len(own), PATH_PARTS)
+    # an error of the heading moves the path by its distance from the start
+    far = math.sqrt(float(np.square(own - configured[:2]).sum(axis=1).mean()))
+    claimed = math.sqrt(float(np.median(P[known, 0, 0] + P[known, 1, 1])))
+    if math.hypot(*sigma[:2], far * sigma[2], claimed) > math.hypot(first.spread, far * first.sigma):
+        return None
+    x, y, theta = moved(np.arange(len(own))).tolist()
+    away, turn = math.hypot(x - configured[0], y - configured[1]), abs(theta - configured[2])
+    words = (
+        f"by the laser's whole path it starts {away:.2f} m and {math.degrees(turn):.1f} deg from where the drive "
+        f"starts (1 sigma {math.hypot(*sigma[:2]):.3f} m, {math.degrees(sigma[2]):.2f} deg)"
+    )
+    sure = away > MIN_START_ERROR_M + START_SIGMAS * math.hypot(*sigma[:2], robot.start.sigma_xy)
+    turned = math.hypot(sigma[2], math.radians(robot.start.sigma_theta_deg))
+    if not (sure or turn > MIN_START_ERROR_RAD + START_SIGMAS * turned):
+        return None
+    severe = away > SEVERE_START_ERROR_M or turn > SEVERE_START_ERROR_RAD
+    degrees = math.degrees(se2.wrap(theta))
+    fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={round(degrees, 2)}")
+    return Finding("truth", START, words, fixes, severe)
 
 
 class TruthStart(NamedTuple):
@@ -124,6 +181,12 @@ def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> TruthStart
     else:
         heading_sigma = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
     spread = float(np.hypot(*(places - place).std(axis=0))) / math.sqrt(len(points))
+    if headings is not None and len(points) < FEW_READINGS <= len(truth.t):  # the whole drive shows their noise
+        steps = se2.wrap_all(np.diff(headings - wheels.heading(truth.t)))
+        path = axle_path(truth, wheels)
+        aside = np.zeros(1) if path is None else np.diff(truth.xy - path, axis=0)
+        turned, apart = (robust_sigma(part) / math.sqrt(2.0 * len(points)) for part in (steps, aside))
+        heading_sigma, spread = max(heading_sigma, turned), max(spread, math.sqrt(2.0) * apart)
     moved = float(wheels.driven(first) - wheels.driven(wheels.t[0])) > POSE_WAY_M
     at = first if moved else float(wheels.t[0])
     return TruthStart(np.array([*place, se2.wrap(turn)]), way, heading_sigma, spread, at)

@@ -1,0 +1,47 @@
+"""Starts and faults that a truth shows: held to drives whose poses are known exactly."""
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from present import present
+from small_drive import START, drive, robot
+
+from locfuse.fusion import se2
+from locfuse.fusion.checks.start import start_by_path
+from locfuse.fusion.data import Array, Truth
+
+ONCE = 7  # one of so many readings of the truth is kept: about 1.4 Hz
+
+
+def noisy(truth: Truth, sigma: float, sigma_deg: float) -> Truth:
+    """Few readings of a truth, as of AMCL, with white noise [m, deg]."""
+    rng, some = np.random.default_rng(4), np.arange(0, len(truth.t), ONCE)
+    theta = present(truth.theta)[some] + rng.normal(0.0, math.radians(sigma_deg), len(some))
+    return replace(truth, t=truth.t[some], xy=truth.xy[some] + rng.normal(0.0, sigma, (len(some), 2)), theta=theta)
+
+
+def from_start(truth: Truth, poses: Array, start: Array) -> Array:
+    """Exact poses (n, 3), moved rigidly as those of a run that begins at `start`."""
+    back = se2.compose(np.broadcast_to(se2.inverse(np.array(START)), poses.shape), poses)
+    return se2.compose(np.broadcast_to(start, poses.shape), back)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_the_laser_s_whole_path_shows_the_start_where_first_readings_are_noisy(exact: bool) -> None:
+    healthy = drive(18, robot(), laps=2.0)
+    truth = present(healthy.truth)
+    poses = np.column_stack((truth.xy, present(truth.theta)))[::ONCE]
+    x, y, theta = START[0] + 0.3, START[1] - 0.2, START[2] + math.radians(4.0)
+    elsewhere = replace(robot(), start=replace(robot().start, x=x, y=y, theta_deg=math.degrees(theta)))
+    seen = noisy(truth, *((0.0, 0.0) if exact else (0.03, 1.15)))
+    if exact:  # a run that drifts by 0.5 m shows the start worse than an exact truth does
+        poses[:, 0] += 0.5 * np.linspace(0.0, 1.0, len(poses)) ** 2
+    run = from_start(seen, poses, np.array([x, y, theta]))
+    found = start_by_path(seen, run, np.zeros((len(run), 3, 3)), healthy, elsewhere)
+    assert (found is None) == exact
+    if found is not None:
+        x, y, degrees = (float(fix.partition("=")[2]) for fix in found.fixes)
+        assert (x, y) == pytest.approx(START[:2], abs=0.02)
+        assert degrees == pytest.approx(math.degrees(START[2]), abs=0.4)

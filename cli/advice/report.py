@@ -29,7 +29,7 @@ from locfuse.fusion.checks.examine import BLIND, HOLE, holes, of_data, of_holes
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
-from locfuse.fusion.checks.truth import unusable
+from locfuse.fusion.checks.truth import MOVED, unusable
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.judge.credit import MAX_CONSISTENT_ANEES
@@ -164,7 +164,7 @@ def add_validity(
     """Add `validity`, the list of void and doubtful configurations, and move void figures to the key `void`."""
     found: dict[str, dict[str, Any]] = {}  # by message
     known_faults = [truth] if truth is not None else []
-    known_faults += [a.finding for a in given if a.finding.code == MIRROR]
+    known_faults += [a.finding for a in given if a.finding.code in {MIRROR, MOVED}]
     spoilt = next(((f.code, f"truth: {f.sentence}") for f in known_faults), None)
     for name, values in report["configurations"].items():
         reason = _void_reason(values, spoilt, start_error_m)

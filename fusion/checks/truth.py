@@ -40,6 +40,8 @@ MIN_TRUTH_ERROR = 0.015  # least relative error of the truth's distances: lasers
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
 FIXES = "the fixes of the GPS"  # topic of a truth made of these
+MOVED = "moved"  # code of the finding on a frame of the truth that turns once
+MOVE_S, MIN_MOVE_RAD = 6.0, math.radians(5.0)  # s in which it turns, least turn
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which steps are compared
@@ -80,6 +82,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
         if found.staying <= 0:  # the rest of the truth is right
             theta = None if truth.theta is None else truth.theta[~found.away]
             truth = replace(truth, t=truth.t[~found.away], xy=truth.xy[~found.away], theta=theta)
+    jumps = jumps or _moves(truth, drive)
     swings = swing(truth, drive)
     yaw = of_yaw(swings, robot)
     if yaw and swings is not None and truth.theta is not None:
@@ -151,6 +154,40 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     where = ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
     words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
     return [Finding("truth", STEP, words, (), True)]
+
+
+def _moves(truth: Truth, drive: Drive) -> list[Finding]:
+    """Return a finding if the truth's frame turns by much once, within MOVE_S, and stays so.
+
+    AMCL that is started elsewhere does that when it finds its place. Another sensor must turn as the wheels do.
+    """
+    wheels = drive.wheels
+    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    if truth.theta is None or wheels.matched is not None or inside.sum() < MIN_WINDOWS:
+        return []
+    t, turn = truth.t[inside], np.unwrap(truth.theta[inside])
+    off = turn - wheels.heading(t)
+    step = np.interp(t + MOVE_S, t, off) - off
+    i = int(np.argmax(np.abs(step)))
+    begin, end = float(t[i]), float(t[i]) + MOVE_S
+    stays = float(np.subtract(*np.interp((end + MOVE_S, begin - MOVE_S), t, off)))
+    elsewhere_most = float(np.abs(step[np.abs(t - begin) > 2.0 * MOVE_S]).max(initial=0.0))
+    size = abs(float(step[i]))
+    if size < max(MIN_MOVE_RAD, MIN_STEP_RATIO * elsewhere_most) or stays / step[i] < 1.0 / MIN_STEP_RATIO:
+        return []
+    agree = []
+    for name, (at, angle) in headings(drive.measurements).items():
+        apart = np.diff(np.interp((begin, end), at, angle - wheels.heading(at)))
+        agree += [name] if abs(float(apart[0])) < size / (2.0 * MIN_STEP_RATIO) else []
+    if not agree:
+        return []
+    begin, end = math.floor(begin), math.ceil(end)
+    part = f"--from {end} --align se2" if begin + end < t[0] + t[-1] else f"--to {begin}"
+    words = (
+        f"its frame turns by {math.degrees(size):.0f}° between {begin} s and {end} s, while wheels and {agree[0]} "
+        f"agree, as when localisation finds its place. To judge a part: locfuse compare LOG {part}"
+    )
+    return [Finding("truth", MOVED, words, (), True)]
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:

@@ -10,6 +10,7 @@ from small_drive import START, drive, robot
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.start import start_by_path
+from locfuse.fusion.checks.truth import MOVED, of_truth
 from locfuse.fusion.data import Array, Truth
 
 ONCE = 7  # one of so many readings of the truth is kept: about 1.4 Hz
@@ -45,3 +46,22 @@ def test_the_laser_s_whole_path_shows_the_start_where_first_readings_are_noisy(e
         x, y, degrees = (float(fix.partition("=")[2]) for fix in found.fixes)
         assert (x, y) == pytest.approx(START[:2], abs=0.02)
         assert degrees == pytest.approx(math.degrees(START[2]), abs=0.4)
+
+
+@pytest.mark.parametrize("size_deg", [45.0, 8.0])
+def test_a_truth_whose_frame_turns_once_while_the_wheels_and_the_laser_agree(size_deg: float) -> None:
+    """AMCL that was started at a wrong pose and found its place at 20 s, within 2 s.
+
+    The wheels of this drive slip by up to 10 degrees in 6 s, so 8 degrees are not named.
+    """
+    healthy = drive(18, robot(), laps=2.0)
+    truth = present(healthy.truth)
+    wrong = math.radians(size_deg) / (1.0 + np.exp(2.0 * (truth.t - 20.0)))
+    moved = replace(truth, theta=present(truth.theta) + wrong, xy=truth.xy + np.outer(wrong, (3.0, -2.0)))
+    found = of_truth(replace(healthy, truth=moved), robot())
+    assert (MOVED in {f.code for f in found}) == (size_deg > 20.0)
+    if size_deg > 20.0:
+        (one,) = (f for f in found if f.code == MOVED)
+        begin, end, *_ = (int(word) for word in one.message.split() if word.isdigit())
+        assert begin < 20 < end <= begin + 8
+        assert "start" not in {f.code for f in found}

@@ -43,7 +43,7 @@ from locfuse.fusion.checks.start import START, start_by_path, start_by_shape
 from locfuse.fusion.checks.steering import ZERO
 from locfuse.fusion.checks.tracked_point import AHEAD, CREEP, POINT, YAW, of_point, swing
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, by_key, keys, together
-from locfuse.fusion.checks.truth import AXES, MOVED, OTHER, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
+from locfuse.fusion.checks.truth import AXES, COPY, MOVED, OTHER, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
 from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED, turnings
 from locfuse.fusion.data import BASES, LASER
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
@@ -148,7 +148,9 @@ class Evidence(NoiseFindings):
     def truth(self) -> list[Candidate]:
         """Return findings on a truth that steps sideways, is mirrored or not in metres; then no error is valid."""
         return [
-            self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MOVED, MIRROR, UNIT, AXES, SIZE, OTHER}
+            self._candidate(f, ())
+            for f in self.doctor
+            if f.code in {STEP, MOVED, COPY, MIRROR, UNIT, AXES, SIZE, OTHER}
         ]
 
     def start(self) -> list[Candidate]:

@@ -34,7 +34,7 @@ from .raw_data import PUBLISHERS, STUCK, UNSIGNED, of_publishers, of_signs, of_s
 from .start import of_start
 from .steering import ZERO, of_steering
 from .tracked_point import of_odometry
-from .truth import SIZE, UNIT, metre, of_axes, of_body, of_few, of_size, of_truth, of_unit, wheels_metre
+from .truth import SIZE, UNIT, metre, of_axes, of_body, of_copy, of_few, of_size, of_truth, of_unit, wheels_metre
 from .turning import (
     MAX_LAG_S,
     MIRROR,
@@ -113,7 +113,7 @@ def examine(
         found += of_sweep(streams["lrf"], drive, robot, clock_offset("lrf", by_sensor))
     if wrong_wheels:  # other checks need correct wheels
         return [*found, *(_start(drive, robot) if any(o.code == ZERO for o in turning) else [])]
-    unit = of_axes(drive) or of_unit(drive) or of_body(drive)
+    unit = of_axes(drive) or of_unit(drive) or of_body(drive) or of_copy(drive)
     found += unit
     if unit or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared

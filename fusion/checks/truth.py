@@ -40,6 +40,9 @@ MIN_TRUTH_ERROR = 0.015  # least relative error of the truth's distances: lasers
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: plausible range of the 99th percentile of a robot's speeds
 STEP = "step"  # code of the finding on sideways steps
 FIXES = "the fixes of the GPS"  # topic of a truth made of these
+COPY = "copy"  # code of the finding on a truth that is made of the wheels
+# largest rms difference as a share of the way, least way, m: a radius is rarely known better than to 1e-3
+MAX_COPIED_SHARE, MIN_COPIED_M = 1e-4, 10.0
 MOVED = "moved"  # code of the finding on a frame of the truth that turns once
 MOVE_S, MIN_MOVE_RAD = 6.0, math.radians(5.0)  # s in which it turns, least turn
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
@@ -359,6 +362,28 @@ def of_body(drive: Drive) -> list[Finding]:
     return [Finding("truth", OTHER, words, (), True)]
 
 
+def of_copy(drive: Drive) -> list[Finding]:
+    """Return a finding if the truth follows the wheels more exactly than wheels can roll: it is made of them."""
+    truth, wheels = drive.truth, drive.wheels
+    if truth is None or wheels.matched is not None:
+        return []
+    inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
+    t, xy = truth.t[inside], truth.xy[inside]
+    if len(t) < MIN_STEPS or (way := float(np.diff(wheels.driven(t[[0, -1]]))[0])) < MIN_COPIED_M:
+        return []
+    own = wheels.relative(np.full(len(t), t[0]), t)[:, :2]
+    turn = np.full(len(t), se2.laid_on(own, xy)[0])
+    rest = xy - xy.mean(axis=0) - se2.rotated(turn, own - own.mean(axis=0))
+    apart = math.sqrt(float(np.square(rest).sum(axis=1).mean()))
+    if apart > MAX_COPIED_SHARE * way:
+        return []
+    words = (
+        f"it follows the wheels to {1e3 * apart:.2g} mm over {way:.0f} m, which no robot does: it is made of them "
+        "(as by robot_localization), or both come from a simulator. It judges nothing"
+    )
+    return [Finding("truth", COPY, words, (NO_TRUTH,), True)]
+
+
 def of_unit(drive: Drive) -> list[Finding]:
     """Return a finding if the truth is not in metres: its distances are a power of ten times the wheels'.
 
@@ -409,7 +434,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
 
 def unusable(drive: Drive) -> Finding | None:
     """Return a finding if no error can be computed by this truth (few poses, unit, axes, jumps), else None."""
-    for found in (*of_few(drive), *of_axes(drive), *of_unit(drive), *of_body(drive)):
+    for found in (*of_few(drive), *of_axes(drive), *of_unit(drive), *of_body(drive), *of_copy(drive)):
         return found
     jumps = jumps_of(drive)
     if jumps is None or not jumps.unusable:

@@ -10,7 +10,7 @@ from small_drive import START, drive, robot
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.start import start_by_path
-from locfuse.fusion.checks.truth import MOVED, of_truth
+from locfuse.fusion.checks.truth import COPY, MOVED, of_truth, unusable
 from locfuse.fusion.data import Array, Truth
 
 ONCE = 7  # one of so many readings of the truth is kept: about 1.4 Hz
@@ -65,3 +65,14 @@ def test_a_truth_whose_frame_turns_once_while_the_wheels_and_the_laser_agree(siz
         begin, end, *_ = (int(word) for word in one.message.split() if word.isdigit())
         assert begin < 20 < end <= begin + 8
         assert "start" not in {f.code for f in found}
+
+
+def test_a_truth_that_is_made_of_the_wheels_judges_nothing() -> None:
+    healthy = drive(18, robot(), laps=2.0)
+    truth, wheels = present(healthy.truth), healthy.wheels
+    assert unusable(healthy) is None
+    pose = wheels.at(np.clip(truth.t, wheels.t[0], wheels.t[-1]))[2]
+    moved = se2.compose(np.broadcast_to([3.0, -1.0, 0.7], pose.shape), pose)
+    xy = moved[:, :2] + np.random.default_rng(2).normal(0.0, 5e-4, truth.xy.shape)
+    copied = replace(truth, xy=xy, theta=moved[:, 2])
+    assert present(unusable(replace(healthy, truth=copied))).code == COPY

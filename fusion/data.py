@@ -255,6 +255,7 @@ class Truth(msgspec.Struct, frozen=True):
     sigma_theta: float = 0.0  # rad, standard deviation of the truth's heading
     time_offset: float = 0.0  # s, included in t
     w_first: bool = False  # whether the quaternions were recorded as w, x, y, z, and are read so
+    turned: int = 0  # readings whose heading was off by 180 degrees, and was turned back
 
     def spans(self, t: Array) -> Mask:
         """Return the mask (n,) of the times t (n,) [s] between the first and the last pose."""

@@ -39,6 +39,8 @@ POINTS: Mapping[str, tuple[str, ...]] = {
 TRUTH_READS: Mapping[str, tuple[str, ...]] = {**POSE, **SEVERAL, **POINTS}
 MIN_MOVED_M = 0.1  # m: a body that moves less cannot be the robot
 MAX_BEND_SHARE = 0.05  # largest standard deviation across a path without bends, as share of that along it
+# flips of a heading: least step, rad; fastest turn of a robot, rad/s; largest number, as share of the readings
+MIN_FLIP_RAD, MAX_TURN_RADPS, MAX_FLIP_SHARE = math.radians(150.0), 5.0, 0.01
 FAR_JUMP_FACTOR, MAX_AWAY_SHARE = 3.0, 0.5  # jump / largest plausible step; share of the truth by another body
 TRUTH_NAMES = (  # must not match /odom or /amcl_pose
     *("ground_truth", "groundtruth", "gt", "mocap"),
@@ -80,10 +82,13 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     if w_first := headings and se2.is_about_x(values[rows, 2:]):
         values[:, 2:] = np.roll(values[:, 2:], -1, axis=1)
     theta = se2.yaw(*values[rows, 2:].T) - math.radians(settings.yaw_deg) if headings else None
+    t, turned = seconds(stream.t_ns[rows], epoch_ns, settings.time_offset), 0
+    if theta is not None:
+        theta, turned = _turned_back(t, theta)
     return (
         Truth(
             topic=stream.topic,
-            t=seconds(stream.t_ns[rows], epoch_ns, settings.time_offset),
+            t=t,
             xy=values[rows, :2],
             theta=theta,
             point=(settings.x, settings.y),
@@ -91,9 +96,24 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
             sigma_theta=math.radians(settings.sigma_theta_deg),
             time_offset=settings.time_offset,
             w_first=w_first,
+            turned=turned,
         ),
         dropped,
     )
+
+
+def _turned_back(t: Array, theta: Array) -> tuple[Array, int]:
+    """Return the headings (n,) [rad] without flips by 180 degrees, and the number of readings that were flipped.
+
+    A tracker whose markers look the same from behind takes the front for the back. The rarer direction is wrong.
+    """
+    step, dt = np.abs(se2.wrap_all(np.diff(theta))), np.diff(t)
+    flips = (step > MIN_FLIP_RAD) & (step > MAX_TURN_RADPS * dt)
+    if not 0 < flips.sum() <= MAX_FLIP_SHARE * len(t):
+        return theta, 0
+    flipped = np.append(0, np.cumsum(flips)) % 2 == 1
+    flipped = ~flipped if 2 * flipped.sum() > len(t) else flipped
+    return theta + math.pi * flipped, int(flipped.sum())
 
 
 def elsewhere(t: Array, xy: Array, limit: Array) -> Mask:
@@ -175,9 +195,12 @@ def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str])
 
 
 def heading_notes(truth: Truth, msgtype: str) -> tuple[str, ...]:
-    """Return a note on headings that messages of this type have, and that were not recorded, or with w first."""
-    if truth.w_first:
-        return ("its quaternions turn about the x axis: read as w, x, y, z. Let its driver write x, y, z, w",)
+    """Return notes on headings that messages of this type have: not recorded, flipped, or with w first."""
+    order = "its quaternions turn about the x axis: read as w, x, y, z. Let its driver write x, y, z, w"
+    flips = "its heading flips by 180° between two readings, as with symmetric markers"
+    notes = (truth.w_first, order), (truth.turned > 0, f"{flips}: {truth.turned} readings are turned back")
+    if found := tuple(words for seen, words in notes if seen):
+        return found
     if truth.theta is not None or msgtype in POINTS:
         return ()
     return ("its heading never changes: only its positions are used",)

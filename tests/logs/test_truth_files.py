@@ -27,7 +27,7 @@ from locfuse.formats.logs.log import open_log
 from locfuse.formats.report.html import _strips
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import TruthSettings
-from locfuse.fusion.truth import read_truth
+from locfuse.fusion.truth import heading_notes, read_truth
 
 SAMPLE = "rounded_rectangle"
 WHEELS = ("--sensors", "odometry", "--write", "json,tum,csv")
@@ -214,6 +214,17 @@ def test_quaternions_of_a_log_that_begin_with_w_are_read(w_first: bool) -> None:
     truth, _ = read_truth(cast("Stream", stream), TruthSettings(), 0)
     np.testing.assert_allclose(np.unwrap(present(truth.theta)), turn, atol=1e-9)
     assert truth.w_first == w_first
+
+
+def test_headings_that_flip_by_half_a_turn_are_turned_back() -> None:
+    turn = np.linspace(0.3, 4.0, 900)
+    pose = np.column_stack((np.sin(turn), -np.cos(turn), turn))
+    pose[:, 2] += math.pi * np.isin(np.arange(900) // 150, (1, 3))  # 300 of 900 readings, four flips
+    stream = pose_stream("/mocap", np.arange(900) * 10**7, pose)
+    truth, _ = read_truth(cast("Stream", stream), TruthSettings(), 0)
+    np.testing.assert_allclose(np.unwrap(present(truth.theta)), turn, atol=1e-9)
+    assert truth.turned == 300
+    assert "300 readings are turned back" in heading_notes(truth, stream.msgtype)[0]
 
 
 def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path: Path) -> None:

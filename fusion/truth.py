@@ -207,7 +207,10 @@ def heading_notes(truth: Truth, msgtype: str) -> tuple[str, ...]:
 
 
 def poses_at(truth: Truth, t: Array) -> Array:
-    """Return poses (n, 3) of the base at times t (n,) [s]; without headings those of the point, theta NaN."""
+    """Return poses (n, 3) of the base at times t (n,) [s].
+
+    For a truth without headings, they are the positions of the tracked point, with theta NaN.
+    """
     if truth.theta is not None:
         return body_poses(truth, t)
     return np.stack([*(np.interp(t, truth.t, column) for column in truth.xy.T), np.full(len(t), np.nan)], axis=-1)

@@ -176,7 +176,10 @@ def compare_log(
 
 
 def with_others(compared: Compared, asked: Asked, foreign: Sequence[Estimates], progress: Progress) -> Compared:
-    """Add the `foreign` estimates of other programs; with `asked.reference` judge all by smoothed solutions."""
+    """Return the comparison with the `foreign` estimates of other programs added.
+
+    With `asked.reference`, the errors of all estimates are computed against the smoothed path of the whole drive.
+    """
     drive, robot, plain = compared.loaded.drive, compared.loaded.robot, compared.plain
     references, align = None, cast("Align", asked.align)
     if asked.reference:

@@ -162,7 +162,11 @@ def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
 
 
 def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
-    """Return named configurations, else odometry, each sensor alone, and all; with `every` also all subsets."""
+    """Return the configurations that `compare` runs: those in `words`, or the usual ones.
+
+    The usual ones are odometry, each sensor alone, and all sensors together. With `every`, all other sets of
+    sensors are added.
+    """
     present = tuple(s for s in REGISTRY if s in drive.measurements)
     named = [parse(w, drive) for w in words]
     if every:

@@ -225,7 +225,10 @@ def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, fl
 
 
 def _reported(configurations: Mapping[str, Any], path: str, absent: str) -> tuple[float | None, str]:
-    """Return a figure by its path, and the reason if it is missing: `absent` for a known name without a number."""
+    """Return a number of the report, such as "all.position_rmse_m", and the reason if there is none.
+
+    The reason is `absent` if the report has this name, but no number.
+    """
     name, value = figure(configurations, path)
     if name is None:
         return None, f"no such configuration; there are {', '.join(configurations)}"

@@ -1,6 +1,6 @@
-"""Facts about the robot in its log: robot description, wheel counters, wheel geometry by another motion, mounts.
+"""Facts about the robot in its log: robot description, wheel counters, radius and track, mounts of sensors.
 
-Other motions are an odometry topic, the truth, or scan matching.
+Radius and track are measured by an odometry topic, the truth, or scan matching.
 """
 
 from __future__ import annotations

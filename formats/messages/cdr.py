@@ -326,7 +326,7 @@ class Decoder(MessageDecoder):
 
 
 def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) -> tuple[Mask, Ints]:
-    """Return a mask (k,) of the messages with this layout, and the number of elements (k,) of their tails."""
+    """Return the mask (k,) of the messages that have `layout`, and the lengths (k,) of their last array."""
     tail = layout.tail
     tails = np.zeros(len(start), np.int64)
     same = length == layout.length if tail is None else length >= tail.spot + 4

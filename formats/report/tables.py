@@ -182,7 +182,7 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 
 
 def _scan_quality(report: Report) -> list[Column]:
-    """Return the columns revisit agreement and crispness; a column without any value is left out."""
+    """Return the table columns "revisits agree" and "crispness", without those that have no value."""
     found, runs = {AGREEMENT.key: AGREEMENT, "crispness_cells": CRISPNESS}, report["configurations"].values()
     return [column for key, column in found.items() if any(v.get(key) is not None for v in runs)]
 

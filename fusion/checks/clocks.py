@@ -340,7 +340,7 @@ def _lags_by_places(drive: Drive, robot: Robot, others: Collection[str]) -> dict
 
 
 def _lag_by_places(m: Measurements, misfit: Callable[..., float | None], truth: Truth) -> Lag | None:
-    """Return the shift of the stamps with the smallest residuals at the truth's poses; None if it is not clear.
+    """Return the time offset at which a sensor's readings fit the truth's poses best; None if it is not clear.
 
     Without a clear one below MAX_LAG_S, larger ones are tried, such as leap seconds.
     """

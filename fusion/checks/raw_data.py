@@ -216,7 +216,10 @@ def _drives_straight(drive: Drive, begin: float, end: float, ahead: float) -> bo
 
 
 def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
-    """Return a finding if the wheels' angles or speeds have another unit: the truth or a sensor moves less far."""
+    """Return a finding if the wheels' angles or speeds seem to have another unit.
+
+    Then the wheels drive farther than the truth or another sensor, by the factor of this unit.
+    """
     wheels = drive.wheels
     if msgtype in BODY_READS:
         return _of_rate_unit(drive, robot)

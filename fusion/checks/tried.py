@@ -318,7 +318,7 @@ class Case(Protocol):
         """
 
     def kept(self, role: str) -> Collection[str]:
-        """Return the configurations that a user would keep: all sensors, and the best one that `role` affects."""
+        """Return the configurations a user would keep: all sensors, and the best one with the sensor `role`."""
 
 
 Now = Callable[[str], float | None]

@@ -98,7 +98,7 @@ def true_headings(drive: Drive) -> dict[str, Headings]:
 
 
 def turnings(drive: Drive) -> dict[str, Turning]:
-    """Return the fit of turns by wheel distances, for each sensor that measures turns."""
+    """Return for each sensor that measures turns how these follow from the distances of both wheels."""
     return _fits(headings_of(drive), drive.wheels)
 
 

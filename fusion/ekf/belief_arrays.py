@@ -400,7 +400,10 @@ class JointBelief(ekf.State):
         self._clones.add(column)
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:
-        """Clone to three states the present pose, or the pose `behind` (3,) in the frame of the present one."""
+        """Copy the present pose to the three states from `column` on.
+
+        With `behind` (3,), a pose in the frame of the present one, that pose is copied instead.
+        """
         J = np.eye(3) if behind is None else pose_by_frame(self._x[None, :3], behind[None])[0]
         if self.events is not None:
             self._note_change(np.arange(column, column + 3), np.hstack((J, np.zeros((3, self.n - 3)))))

@@ -55,7 +55,7 @@ class TrackColumns:
     """Record of the pose, its covariance and some states, one row per update."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
-        """Use pose (n, 3), triangle (n, 6) of P, values (n, 2 b): of `states` (b,) mean, then variance."""
+        """Record in pose (n, 3), triangle (n, 6) of P, values (n, 2 b): means, then variances, of b `states`."""
         self.pose, self.triangle, self.values = memory(pose), memory(triangle), memory(values)
         self.states = memory(states)
 

@@ -178,7 +178,7 @@ def ring_start(returns: Returns, growth: float, max_gap: float) -> int:
 
 
 def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segments) -> None:
-    """Cut the returns into runs at gaps."""
+    """Divide the points of a scan into runs without gaps."""
     runs = 0
     for i in range(returns.count):
         if i == 0 or gap(returns, i - 1, i, growth, max_gap) > 1.0:

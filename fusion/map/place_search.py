@@ -384,7 +384,7 @@ class CandidateRuns:
         self._found: dict[int, tuple[Closure, int]] = {}  # anchor -> last candidate, number of agreeing ones
 
     def count(self, anchor: int) -> int:
-        """Return the number of agreeing candidates in the submap of an anchor."""
+        """Return how many candidates for a loop closure with the submap of this anchor agree with each other."""
         return self._found[anchor][1] if anchor in self._found else 0
 
     def add(self, anchor: int, found: Closure | None, unknown: bool, anchors: Anchors) -> bool:

@@ -256,7 +256,7 @@ class LineTracker(Model):
     # ---- results ----
 
     def results(self, belief: Any) -> ModelResults:
-        """Return the map after the first scan and the present one, jumps of the pose, and intervals when lost."""
+        """Return the map after the first scan, the map now, jumps of the pose, and times at which it was lost."""
         lost = self.guard.intervals() if self.guard is not None else []
         return ModelResults(self._first_map, self.map.lines(belief), jumps=self._jumps, lost=lost)
 
@@ -532,7 +532,7 @@ class AtlasTracker(LineTracker):
     # ---- results ----
 
     def results(self, belief: Any) -> ModelResults:
-        """Return also the lines of all submaps at their present poses, and the recognised places."""
+        """Return the results of the present submap; lines of all other submaps and closed loops are added."""
         found, left = super().results(belief), list[MapLine]()
         for old in self._frozen:
             pose, P = self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor)

@@ -53,7 +53,7 @@ class Edges(Columns, frozen=True):
         return cls.of(np.array([NOWHERE]), np.array([j]), pose[None], information[None], np.inf)
 
     def errors(self, x: Array, systematic: Array | None = None) -> Array:
-        """Return the errors e (m, 3) at poses x (n, 3) and systematic errors (2,)."""
+        """Return the errors e (m, 3) of all edges, for poses x (n, 3) and systematic errors (2,) of wheels."""
         e: Array = se2.between(self._from(x), x[self.j]) - self.z
         if systematic is not None:
             e += self.by @ systematic

@@ -54,7 +54,10 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
         return {self._id(key): place for key, place in self.map.items()}
 
     def detector(self, poses: Array) -> Array:
-        """Return the detector's positions (n, 2) [m] for robot poses (n, 3); headings matter only with x or y."""
+        """Return the detector's positions (n, 2) [m] for robot poses (n, 3).
+
+        Headings, which may be NaN, are used only if the detector is mounted off the base (x or y is not 0).
+        """
         if self.x == self.y == 0.0:
             return poses[:, :2]
         return transform(poses, np.array([self.x, self.y]))

@@ -300,9 +300,9 @@ class KeptPoseModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Prepare B for the next reading: clone the present pose if the frame drifts or at the first reading.
+        """Prepare the cloned pose B for the next reading.
 
-        Otherwise move B by the measured motion.
+        If the frame drifts, or at the first reading, B becomes the present pose. Else the measured motion moves B.
         """
         column, last, drifts = belief.column(CLONE), self._last, m.plain["drifts"][i]
         self._last = now = _pose_of(m, i)

@@ -143,7 +143,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return float(lags[best]) if fits[best] > MIN_FAR_CORRELATION and near < MAX_NEAR_CORRELATION else 0.0
 
     def of_path(self, motion: WheelReading) -> float:
-        """Return the share s of agreeing points for a motion that is the laser's own path by scan matching.
+        """Return the share of scan points that fit the other scan of a pair, for a motion by matching these scans.
 
         Clock and mount of the laser are used as configured, without a search.
         """

@@ -25,6 +25,7 @@ START_SIGMAS = 3.0  # of the combined sigma of configured and true start
 SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive that are used to find the start pose: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 PATH_PARTS, MIN_PATH_POSES = 8, 40  # parts of a run's path, each left out once; poses of the truth beside it
+MAX_PATH_SCALE = 0.015  # largest relative error of the path's scale: lasers are right to about 1 %
 FEW_READINGS = 5  # fewer readings do not show their noise
 
 
@@ -116,7 +117,10 @@ def start_by_path(truth: Truth, path: Array, P: Array, drive: Drive, robot: Robo
     # an error of the heading moves the path by its distance from the start
     far = math.sqrt(float(np.square(own - configured[:2]).sum(axis=1).mean()))
     claimed = math.sqrt(float(np.median(P[known, 0, 0] + P[known, 1, 1])))
-    if math.hypot(*sigma[:2], far * sigma[2], claimed) > math.hypot(first.spread, far * first.sigma):
+    larger = se2.laid_on(own, seen)[1] - 1.0  # by a wrong scale the path's middle is at a wrong distance
+    if abs(larger) > MAX_PATH_SCALE:
+        return None
+    if math.hypot(*sigma[:2], far * sigma[2], claimed, far * larger) > math.hypot(first.spread, far * first.sigma):
         return None
     x, y, theta = moved(np.arange(len(own))).tolist()
     away, turn = math.hypot(x - configured[0], y - configured[1]), abs(theta - configured[2])

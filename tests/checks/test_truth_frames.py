@@ -46,6 +46,8 @@ def test_the_laser_s_whole_path_shows_the_start_where_first_readings_are_noisy(e
         x, y, degrees = (float(fix.partition("=")[2]) for fix in found.fixes)
         assert (x, y) == pytest.approx(START[:2], abs=0.02)
         assert degrees == pytest.approx(math.degrees(START[2]), abs=0.4)
+        larger = np.column_stack((1.1 * run[:, :2], run[:, 2]))  # a laser whose ranges are long shows no start
+        assert start_by_path(seen, larger, np.zeros((len(run), 3, 3)), healthy, elsewhere) is None
 
 
 @pytest.mark.parametrize("size_deg", [45.0, 8.0])

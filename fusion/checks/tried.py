@@ -253,9 +253,8 @@ class Candidate(msgspec.Struct, frozen=True):
     proven: bool = False
     guards: tuple[str, ...] = ()  # configurations whose ANEES must stay in its chance range
     by_shape: bool = False  # may be judged after alignment, since the position of its map is not observed
-    drifting: tuple[
-        str, ...
-    ] = ()  # those judges whose drift may cancel a wrong start: by shape if their error grows
+    # judges whose drift may cancel a wrong start: if their error grows, the shape of their path counts
+    drifting: tuple[str, ...] = ()
 
     @property
     def key(self) -> tuple[str, str]:

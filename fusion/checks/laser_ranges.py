@@ -247,6 +247,8 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
     `ranges` (k, b) [m] has one row per scan; n is the number of places on walls. The second derivative is by a
     relative error of the angle between beams; both have the sign of a correction.
     """
+    if not len(ranges) or ranges.shape[1] < 2:
+        return
     step = float(np.abs(np.diff(angles, axis=-1)).mean())
     k = round(HALF_SPAN_RAD / step) if step > 0.0 else 0
     if k < 2 or ranges.shape[1] <= 2 * k:

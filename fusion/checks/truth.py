@@ -12,7 +12,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, Mask, Truth, changes, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
-from locfuse.fusion.truth import NO_TRUTH, elsewhere
+from locfuse.fusion.truth import NO_TRUTH, elsewhere, looks_like_truth
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
 from locfuse.fusion.wheels.motion import Wheels, path_alike, turns_explained
 from locfuse.fusion.wheels.repairs import gaps_of, times
@@ -363,9 +363,14 @@ def of_body(drive: Drive) -> list[Finding]:
 
 
 def of_copy(drive: Drive) -> list[Finding]:
-    """Return a finding if the truth follows the wheels more exactly than wheels can roll: it is made of them."""
+    """Return a finding if the truth follows the wheels more exactly than wheels can roll: it is made of them.
+
+    A simulator's wheels may be exact, so a file and a topic with a name of ground truth are not judged.
+    """
     truth, wheels = drive.truth, drive.wheels
     if truth is None or wheels.matched is not None:
+        return []
+    if looks_like_truth(truth.topic) or "." in truth.topic:  # a file; names in ROS have no dots
         return []
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
     t, xy = truth.t[inside], truth.xy[inside]
@@ -379,7 +384,7 @@ def of_copy(drive: Drive) -> list[Finding]:
         return []
     words = (
         f"it follows the wheels to {1e3 * apart:.2g} mm over {way:.0f} m, which no robot does: it is made of them "
-        "(as by robot_localization), or both come from a simulator. It judges nothing"
+        "(as by robot_localization), and judges nothing"
     )
     return [Finding("truth", COPY, words, (NO_TRUTH,), True)]
 

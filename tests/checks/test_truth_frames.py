@@ -76,5 +76,6 @@ def test_a_truth_that_is_made_of_the_wheels_judges_nothing() -> None:
     pose = wheels.at(np.clip(truth.t, wheels.t[0], wheels.t[-1]))[2]
     moved = se2.compose(np.broadcast_to([3.0, -1.0, 0.7], pose.shape), pose)
     xy = moved[:, :2] + np.random.default_rng(2).normal(0.0, 5e-4, truth.xy.shape)
-    copied = replace(truth, xy=xy, theta=moved[:, 2])
+    copied = replace(truth, topic="/odometry/filtered", xy=xy, theta=moved[:, 2])
     assert present(unusable(replace(healthy, truth=copied))).code == COPY
+    assert unusable(replace(healthy, truth=replace(copied, topic="/ground_truth"))) is None  # of a simulator

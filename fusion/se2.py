@@ -171,6 +171,12 @@ def yaw(x: Array, y: Array, z: Array, w: Array) -> Array:
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
 
 
+def turning_only(q: Array) -> Array:
+    """Return quaternions q (n, 4), with NaN for those of zeros, which are no rotations; unless all are zeros."""
+    zeros = ~q.any(axis=1, keepdims=True)
+    return q if zeros.all() else np.where(zeros, np.nan, q)
+
+
 def is_about_x(q: Array) -> bool:
     """Return whether quaternions q (n, 4), some of which may be NaN, turn about the x axis: w seems to come first.
 

@@ -58,6 +58,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     """Return the truth with strictly increasing times, and the counts of unused readings by reason."""
     dropped = dict(stream.dropped)
     values = _values(stream, settings, dropped)
+    values[:, 2:] = se2.turning_only(values[:, 2:])
     finite = plausible(values).all(axis=1)
     count_dropped(dropped, not_finite=int((~finite).sum()) - dropped.get("other_bodies", 0))
     rows = np.flatnonzero(finite)

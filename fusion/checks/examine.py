@@ -55,7 +55,7 @@ MAX_EMPTY_SHARE = 0.9  # largest share of readings without a measurement: with m
 REASONS = {
     "repeat": "repeat the one before",
     "same_stamp": "share the stamp of another",
-    "not_finite": "hold NaN or Inf",
+    "not_finite": "hold NaN, Inf or a quaternion of zeros",
     "zeros": "hold zeros in place of a value",
     "outside_wheels": "before the first or after the last of the wheels",
     "too_many_beams": f"with more beams than can be true (over {MAX_BEAMS})",
@@ -211,7 +211,7 @@ def _refused(drive: Drive) -> list[Finding]:
 
 
 def _reasons(counts: Mapping[str, int]) -> str:
-    """Return numbers of readings by reason as text: "3 repeat the one before, 1 hold NaN or Inf"."""
+    """Return numbers of readings by reason as text: "3 repeat the one before, 1 share the stamp of another"."""
     return ", ".join(f"{n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in counts.items())
 
 

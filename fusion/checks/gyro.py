@@ -56,7 +56,10 @@ def of_gyro(
     x, sigmas = robust_with_sigmas(A, seen, STRETCHES)
     scale, sigma = float(x[0]), float(sigmas[0])
     tried, least = least is not None, ERRORS[least is not None]
-    if turned.std() >= MIN_RMS_TURN_RAD and abs(scale - 1.0) >= least.error + least.sigmas * sigma:
+    if (
+        min(turned.std(), seen.std()) >= MIN_RMS_TURN_RAD
+        and abs(scale - 1.0) >= least.error + least.sigmas * sigma
+    ):
         far = f"{abs(1.0 / scale - 1.0):.1%} too {'far' if scale < 1.0 else 'little'}"
         words = f"it turns {far} by the headings of {source_words(name)} (1 sigma {sigma:.1%})"
         fix = f"gyro.scale={float(robot.settings('gyro').scale) * scale:.4g}"

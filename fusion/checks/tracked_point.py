@@ -22,6 +22,7 @@ Plane = NDArray[np.complex128]  # points of the plane, m
 POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
 YAW = "body yaw"  # code of the finding on the direction of the tracked body
 MIN_CREEP, CREEP_SIGMAS, MIN_YAW_ERROR_RAD = 0.008, 5.0, math.radians(5.0)  # m per m; standard errors
+MIN_MOVED_SHARE = 0.3  # of the wheels' steps, by the truth
 MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
 AHEAD, MIN_AHEAD_M = "ahead", 0.03  # code of the finding on an odometry's body point, m of a reported one
 MAX_REST = 0.5  # largest share of the odometry's sideways motion that its body point leaves
@@ -56,6 +57,11 @@ class Swing(NamedTuple):
     x: Array  # (4,) tracked point (x, y) [m], scale of the path, sideways motion [m per m]
     sigma: Array  # (4,)
     lag: tuple[float, float] | None = None  # s to add to the truth's stamps, and its sigma; None: not seen
+
+    @property
+    def moves(self) -> bool:
+        """Whether the truth moves about as far as the wheels, which only slip if the robot turns on the spot."""
+        return math.hypot(self.x[2], self.x[3]) > MIN_MOVED_SHARE
 
     @property
     def aside(self) -> float:
@@ -191,7 +197,9 @@ def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
 
 def of_yaw(found: Swing | None, robot: Robot) -> list[Finding]:
     """Return a finding if the truth's headings are not the directions of travel, by more than wheels can creep."""
-    if found is None or abs(found.aside) < MIN_YAW_ERROR_RAD + CREEP_SIGMAS * float(found.sigma[3]):
+    if found is None or not found.moves:
+        return []
+    if abs(found.aside) < MIN_YAW_ERROR_RAD + CREEP_SIGMAS * float(found.sigma[3]):
         return []
     yaw = math.degrees(se2.wrap(math.radians(robot.truth.yaw_deg) - found.aside))
     words = f"{_sideways(found)}, more than wheels can creep: the tracked body is turned on the robot"
@@ -200,7 +208,7 @@ def of_yaw(found: Swing | None, robot: Robot) -> list[Finding]:
 
 def of_creep(found: Swing | None) -> list[Finding]:
     """Return a finding if, by the truth, the robot drives sideways to its heading."""
-    if found is None or abs(found.aside) < max(MIN_CREEP, CREEP_SIGMAS * float(found.sigma[3])):
+    if found is None or not found.moves or abs(found.aside) < max(MIN_CREEP, CREEP_SIGMAS * float(found.sigma[3])):
         return []
     words = f"{_sideways(found)}: wheels that creep sideways, or a truth whose headings are off by that"
     return [Finding("wheels", CREEP, words)]

@@ -244,9 +244,11 @@ def from_imu(
     Also return ones (n,), in place of field strengths. A first covariance element of -1 means no orientation.
     """
     q = np.column_stack([columns[f"orientation.{a}"] for a in "xyzw"])
-    none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)
+    said = columns["orientation_covariance"][:, 0] == -1.0
+    none = said | ((q**2).sum(axis=1) < 0.25)
     if refuse and len(q) and none.all():
-        raise LocfuseError(f"{topic} carries no orientation (orientation_covariance[0] is -1)", role="compass")
+        why = "orientation_covariance[0] is -1" if said.all() else "its quaternions are zeros"
+        raise LocfuseError(f"{topic} carries no orientation ({why})", role="compass")
     # the base's x axis in the IMU's axes, turned into the world
     ahead = rotated_3d(q, rotation_3d(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)[0])
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0])

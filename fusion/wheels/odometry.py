@@ -124,7 +124,7 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
     values = np.zeros((len(stream.t_ns), 5))
     if kind in POSE:
         x, y, *q = (columns[name].astype(np.float64) for name in POSE[kind])
-        values[:, :3] = np.stack((x, y, se2.yaw(*q)), axis=-1)
+        values[:, :3] = np.stack((x, y, se2.yaw(*se2.turning_only(np.stack(q, axis=-1)).T)), axis=-1)
     if kind in PLANAR:
         values[:, :3] = np.stack([columns[name] for name in PLANAR[kind]], axis=-1)
     if kind in SPEED:

@@ -226,7 +226,12 @@ EMPTY = [
         )
         for value, words in ((math.nan, "NaN"), (math.inf, "inf"), (0.0, "zero"))
     ),
-    (NO_FIELD, "compass", "none of {n} readings can be used: {n} hold NaN or Inf. Check the sensor", 3),
+    (
+        NO_FIELD,
+        "compass",
+        "none of {n} readings can be used: {n} hold NaN, Inf or a quaternion of zeros. Check the sensor",
+        3,
+    ),
 ]
 
 

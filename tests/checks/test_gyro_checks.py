@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from present import present
 from small_drive import drive, path, robot
 
 from locfuse.fusion.checks.finding import Least
@@ -37,6 +38,13 @@ def measured(rate: Array, **settings: Any) -> tuple[Drive, Robot, ArrayStream]:
     stream, own = stream_of(t, rate), GyroSettings(**settings)
     m = Gyro().measure(stream, own, one.wheels, 0)
     return replace(one, measurements={"gyro": m}), replace(robot(), sensors={"gyro": own}), stream
+
+
+def test_a_truth_that_does_not_turn_shows_no_scale() -> None:
+    one, settings, _ = measured(rates()[1])
+    truth = present(one.truth)
+    still = replace(one, truth=replace(truth, theta=np.zeros(len(truth.t))))
+    assert "gyro scale" not in {f.code for f in of_gyro(still, settings, turnings(still))}
 
 
 @pytest.mark.parametrize("moves", [False, True])

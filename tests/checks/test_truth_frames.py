@@ -10,6 +10,7 @@ from small_drive import START, drive, robot
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.start import start_by_path
+from locfuse.fusion.checks.tracked_point import Swing, of_yaw
 from locfuse.fusion.checks.truth import COPY, MOVED, of_truth, unusable
 from locfuse.fusion.data import Array, Truth
 
@@ -79,3 +80,10 @@ def test_a_truth_that_is_made_of_the_wheels_judges_nothing() -> None:
     copied = replace(truth, topic="/odometry/filtered", xy=xy, theta=moved[:, 2])
     assert present(unusable(replace(healthy, truth=copied))).code == COPY
     assert unusable(replace(healthy, truth=replace(copied, topic="/ground_truth"))) is None  # of a simulator
+
+
+def test_a_truth_that_stays_on_the_spot_shows_no_yaw_of_its_body() -> None:
+    """The wheels of a robot that turns on the spot slip by centimetres, in any direction."""
+    sigma = np.full(4, 1e-3)
+    assert of_yaw(Swing(np.array([0.0, 0.0, 0.7, 0.7]), sigma), robot()) != []
+    assert of_yaw(Swing(np.array([0.0, 0.0, 0.01, 0.01]), sigma), robot()) == []

@@ -196,7 +196,7 @@ WHEEL_TRAPS = (
     Trap("a spike that returns", spiked, "left counter jumped away and returned"),
     Trap("a counter that starts anew", each(WHEELS, restart), "counter started anew"),
     Trap("repeats with dt = 0", again(WHEELS, 5), "repeat the one before"),
-    Trap("readings that are no numbers", NOT_NUMBERS, "NaN or Inf"),
+    Trap("readings that are no numbers", NOT_NUMBERS, "hold NaN, Inf or a quaternion of zeros"),
     Trap(
         "a mirrored wheel",
         field(WHEELS, position=lambda p: p * [1.0, -1.0]),

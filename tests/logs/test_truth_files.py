@@ -216,6 +216,16 @@ def test_quaternions_of_a_log_that_begin_with_w_are_read(w_first: bool) -> None:
     assert truth.w_first == w_first
 
 
+def test_poses_with_a_quaternion_of_zeros_are_not_used() -> None:
+    turn = np.linspace(0.3, 4.0, 50)
+    stream = pose_stream("/mocap", np.arange(50) * 10**8, np.column_stack((np.sin(turn), -np.cos(turn), turn)))
+    for name in (f"pose.orientation.{axis}" for axis in "xyzw"):
+        cast("Array", stream.data[name])[[7, 30]] = 0.0
+    truth, dropped = read_truth(cast("Stream", stream), TruthSettings(), 0)
+    np.testing.assert_allclose(np.unwrap(present(truth.theta)), np.delete(turn, [7, 30]), atol=1e-9)
+    assert dropped["not_finite"] == 2
+
+
 def test_headings_that_flip_by_half_a_turn_are_turned_back() -> None:
     turn = np.linspace(0.3, 4.0, 900)
     pose = np.column_stack((np.sin(turn), -np.cos(turn), turn))

@@ -263,3 +263,9 @@ def laid_on(a: Array, b: Array) -> tuple[float, float]:
     across, along = float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum())
     square = float((p**2).sum())
     return math.atan2(across, along), math.hypot(across, along) / square if square > 0.0 else 1.0
+
+
+def off_laid_on(a: Array, b: Array) -> Array:
+    """Return the differences (n, 2) of points b (n, 2) from points a (n, 2), which are laid on them rigidly."""
+    p, q = a - a.mean(axis=0), b - b.mean(axis=0)
+    return np.asarray(q - rotated(np.full(len(p), laid_on(a, b)[0]), p))

@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .data import Array, Ints, Mask
 
+Plane = NDArray[np.complex128]  # points of the plane as complex numbers
+
 EXACT_DOF, MAX_NEWTON_STEPS = 300, 50
 CONFIDENCE = 0.95  # confidence of intervals and bounds
 SIGMAS_95 = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
@@ -132,6 +134,20 @@ def jackknife(estimate: Callable[[Ints], Any], n: int, parts: int) -> Array:
 def part_of(t: Array, count: int) -> Ints:
     """Return for times (n,), in order, the index of their part, with `count` parts of equal length."""
     return np.asarray(np.minimum((t - t[0]) / (t[-1] - t[0]) * count, count - 1).astype(np.int64))
+
+
+def sums(part: Ints, values: Plane) -> Plane:
+    """Return the sums of complex values (n,) over the parts with these indices (n,)."""
+    return np.asarray(np.bincount(part, values.real) + 1.0j * np.bincount(part, values.imag), np.complex128)
+
+
+def off_turned(y: Plane, moved: Plane, part: Ints) -> Plane:
+    """Return the differences (n,) of y from `moved`, which is turned to fit y best in each part.
+
+    Points of the plane are complex numbers (n,), `part` (n,) the indices of their parts.
+    """
+    turned = np.exp(1.0j * np.angle(sums(part, y * moved.conj())))
+    return np.asarray(y - turned[part] * moved)
 
 
 def robust(A: NDArray[Any], y: NDArray[Any], least: float = 1e-4) -> tuple[NDArray[Any], Mask]:

@@ -21,11 +21,10 @@ from locfuse.fusion.data import Drive, Ints, Measurements
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.landmarks import mounts_of
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.statistics import jackknife, robust
+from locfuse.fusion.statistics import Plane, jackknife, robust
 from locfuse.fusion.truth import body_poses
 
 from .finding import Finding
-from .tracked_point import Plane
 from .truth import UNIT, UNITS
 
 CLOCKWISE = "clockwise"  # code of the finding on bearings that grow clockwise

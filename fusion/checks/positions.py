@@ -21,12 +21,12 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Ints, Measurements, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.statistics import jackknife, robust, robust_sigma, robust_with_sigmas
+from locfuse.fusion.statistics import Plane, jackknife, off_turned, robust, robust_sigma, robust_with_sigmas
 from locfuse.fusion.truth import poses_at
 from locfuse.fusion.wheels.motion import PART_S
 
 from .finding import Finding, Least
-from .tracked_point import Plane, axle_path
+from .tracked_point import axle_path
 from .truth import FIXES, white_sigma
 
 GPS, POSE, ANTENNA = "gps", "pose", "antenna"  # sensors; code of the finding on the antenna
@@ -201,10 +201,8 @@ def white_error(drive: Drive) -> float:
         return 0.0
     _, _, pose = wheels.at(np.clip(m.t, wheels.t[0], wheels.t[-1]))
     steps, rolled = (np.diff(xy @ (1.0, 1.0j)) for xy in (m.z, pose[:, :2]))
-    part, products = ((m.t[1:] - m.t[0]) / PART_S).astype(np.int64), steps * rolled.conj()
-    part = np.unique(part, return_inverse=True)[1]
-    turns: Plane = np.bincount(part, products.real) + 1.0j * np.bincount(part, products.imag)
-    rest = steps - np.exp(1.0j * np.angle(turns))[part] * rolled
+    part = np.unique(((m.t[1:] - m.t[0]) / PART_S).astype(np.int64), return_inverse=True)[1]
+    rest = off_turned(steps, rolled, part)
     return max(white_sigma(rest.real), white_sigma(rest.imag))
 
 

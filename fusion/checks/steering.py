@@ -84,6 +84,4 @@ def _misfit(drive: Drive, truth: Truth) -> float:
     seen, own = truth.xy[rows], se2.compose(pose, point)[:, :2]
     if not len(seen):
         return 0.0
-    turn, _ = se2.laid_on(own, seen)
-    rest = seen - se2.rotated(np.full(len(own), turn), own)
-    return math.sqrt(float(rest.var(axis=0).sum()))
+    return math.sqrt(float(np.square(se2.off_laid_on(own, seen)).sum(axis=1).mean()))

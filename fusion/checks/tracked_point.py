@@ -7,18 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Truth, interpolate, totals
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.statistics import jackknife, robust, robust_with_sigmas
+from locfuse.fusion.statistics import Plane, jackknife, off_turned, robust, robust_with_sigmas
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import on_base
 
 from .finding import Finding
 
-Plane = NDArray[np.complex128]  # points of the plane, m
 POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on sideways motion
 YAW = "body yaw"  # code of the finding on the direction of the tracked body
 MIN_CREEP, CREEP_SIGMAS, MIN_YAW_ERROR_RAD = 0.008, 5.0, math.radians(5.0)  # m per m; standard errors
@@ -137,9 +135,7 @@ def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
     def rest(x: Array, some: Ints) -> Array:
         turned, rolled = steps(float(x[3]))
         moved = (rolled * x[2] + turned * complex(x[0], x[1]))[some]
-        products = y[some] * moved.conj()
-        frames: Plane = np.bincount(part[some], products.real) + 1.0j * np.bincount(part[some], products.imag)
-        own = y[some] - np.exp(1.0j * np.angle(frames))[part[some]] * moved
+        own = off_turned(y[some], moved, part[some])
         return np.concatenate((own.real, own.imag))
 
     def fitted(some: Ints, x: Array, free: Array, count: int) -> Array:

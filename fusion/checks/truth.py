@@ -377,9 +377,7 @@ def of_copy(drive: Drive) -> list[Finding]:
     if len(t) < MIN_STEPS or (way := float(np.diff(wheels.driven(t[[0, -1]]))[0])) < MIN_COPIED_M:
         return []
     own = wheels.relative(np.full(len(t), t[0]), t)[:, :2]
-    turn = np.full(len(t), se2.laid_on(own, xy)[0])
-    rest = xy - xy.mean(axis=0) - se2.rotated(turn, own - own.mean(axis=0))
-    apart = math.sqrt(float(np.square(rest).sum(axis=1).mean()))
+    apart = math.sqrt(float(np.square(se2.off_laid_on(own, xy)).sum(axis=1).mean()))
     if apart > MAX_COPIED_SHARE * way:
         return []
     words = (

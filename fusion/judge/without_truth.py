@@ -207,9 +207,7 @@ class Distance(msgspec.Struct, frozen=True):
     @classmethod
     def between(cls, t: Array, a: Array, b: Array) -> Distance:
         """Return the distance between paths a and b (n, 2) [m] at the times t (n,) [s], after rigid alignment."""
-        turn, _ = se2.laid_on(a, b)
-        p, q = a - a.mean(axis=0), b - b.mean(axis=0)
-        off = np.hypot(*(se2.rotated(np.full(len(p), turn), p) - q).T)
+        off = np.hypot(*se2.off_laid_on(a, b).T)
         return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
 
     def doubted(self, distance: float) -> bool:

@@ -18,12 +18,12 @@ from collections.abc import Callable, Mapping, Sequence
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Component, Ints, Motions, changes, interpolate, totals
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensor import Block
+from locfuse.fusion.statistics import Plane, sums
 from locfuse.fusion.streams import gap_limit
 
 INTERVALS_PER_BLOCK = 2048  # intervals processed at once, to save memory
@@ -293,21 +293,16 @@ def path_alike(wheels: Wheels, t: Array, xy: Array) -> float | None:
     parts = min(math.ceil((last - first) / PART_S), len(start) // MIN_WINDOWS)
     part = ((start - first) * parts / (last - first)).astype(np.int64)
 
-    def bends(at: Array, t: Array, xy: Array) -> NDArray[np.complex128]:
-        step = np.asarray(changes(at, TURN_WINDOW_S, t, xy) @ (1.0, 1.0j), np.complex128)
-        out: NDArray[np.complex128] = step - (summed(step) / np.bincount(part))[part]
-        return out
-
-    def summed(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        out: NDArray[np.complex128] = np.bincount(part, values.real) + 1.0j * np.bincount(part, values.imag)
-        return out
+    def bends(at: Array, t: Array, xy: Array) -> Plane:
+        step: Plane = np.asarray(changes(at, TURN_WINDOW_S, t, xy) @ (1.0, 1.0j), np.complex128)
+        return np.asarray(step - (sums(part, step) / np.bincount(part))[part])
 
     own, found = bends(start, t, xy), [0.0]
     for lag in LAGS_S.tolist():
         theirs = bends(start + lag, wheels.t, wheels.pose[:, :2])
         size = float(np.linalg.norm(own) * np.linalg.norm(theirs))
         if size > 0.0:
-            found += [float(np.abs(summed(own * b)).sum()) / size for b in (theirs, theirs.conj())]
+            found += [float(np.abs(sums(part, own * b)).sum()) / size for b in (theirs, theirs.conj())]
     return max(found)
 
 

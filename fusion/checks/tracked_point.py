@@ -145,20 +145,23 @@ def swing_by_positions(truth: Truth, drive: Drive) -> Swing | None:
             x = x + robust(np.stack(slopes, axis=-1), own)[0] @ free
         return x
 
-    def found(free: Array) -> tuple[Array, Array, float]:
+    def found(free: Array) -> tuple[Array, float]:
         x = fitted(every, np.array([*truth.point, 1.0, 0.0]), free, GAUSS_NEWTON_STEPS)
-        sigma = jackknife(lambda some: fitted(some, x, free, 2), len(y), STRETCH_COUNT)
-        return x, np.broadcast_to(sigma, 4), float((rest(x, every) ** 2).sum() + 1e-12)
+        return x, float((rest(x, every) ** 2).sum() + 1e-12)
+
+    def swing_of(x: Array, free: Array) -> Swing:
+        sigma = np.broadcast_to(jackknife(lambda some: fitted(some, x, free, 2), len(y), STRETCH_COUNT), 4)
+        lag = (float(x[3]), float(sigma[3])) if len(free) > 3 else None
+        return Swing(np.append(x[:3], 0.0), np.append(sigma[:3], 0.0), lag)
 
     every, unit = np.arange(len(y)), np.eye(4)
-    (x, sigma, left), (late_x, late_sigma, late_left) = found(unit[:3]), found(unit)
+    (x, left), (late, late_left) = found(unit[:3]), found(unit)
     # windows overlap: each adds the numbers of one period
     chi = 2.0 * len(y) * min(1.0, float(np.median(np.diff(t[first]))) / WINDOW_S) * math.log(left / late_left)
-    if chi < MIN_LAG_CHI2 or abs(late_x[3]) < POINT_SIGMAS * late_sigma[3]:
-        return Swing(np.append(x[:3], 0.0), np.append(sigma[:3], 0.0))
-    return Swing(
-        np.append(late_x[:3], 0.0), np.append(late_sigma[:3], 0.0), (float(late_x[3]), float(late_sigma[3]))
-    )
+    swing = swing_of(late, unit) if chi >= MIN_LAG_CHI2 else None
+    if swing is not None and swing.lag is not None and abs(swing.lag[0]) >= POINT_SIGMAS * swing.lag[1]:
+        return swing
+    return swing_of(x, unit[:3])
 
 
 def _tells_point(turned: Plane, rolled: Plane) -> bool:

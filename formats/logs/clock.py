@@ -116,16 +116,17 @@ def _reread(log_time: Ints, stamp: Ints) -> tuple[Ints, str, str]:
     if read is not stamp:
         words = (
             f"their nanoseconds are below {MICROSECONDS} in all messages: they hold microseconds, and are read "
+            "as such. Let the driver write nanoseconds"
         )
-        return read, "microseconds for nanoseconds", f"{words}as such. Let the driver write nanoseconds"
+        return read, "microseconds for nanoseconds", words
     slope = drift(log_time, stamp)
     if not slope:
         return stamp, "", ""
     first = log_time[0 if slope < 0.0 else -1]  # where no stamp is later than its recording
     words = (
         f"their clock is {abs(slope):.2%} too {'fast' if slope < 0.0 else 'slow'} by recording times, and some "
+        "are later than their recording: read at the rate of the recording"
     )
-    words += "are later than their recording: read at the rate of the recording"
     return stamp + np.rint(slope * (log_time - first)).astype(np.int64), "drift", words
 
 

@@ -34,7 +34,7 @@ from .raw_data import PUBLISHERS, STUCK, UNSIGNED, of_publishers, of_signs, of_s
 from .start import of_start
 from .steering import ZERO, of_steering
 from .tracked_point import of_odometry
-from .truth import SIZE, UNIT, metre, of_axes, of_body, of_copy, of_few, of_size, of_truth, of_unit, wheels_metre
+from .truth import SIZE, UNIT, metre, of_few, of_size, of_truth, of_wrong_kind, wheels_metre
 from .turning import (
     MAX_LAG_S,
     MIRROR,
@@ -66,9 +66,8 @@ MIN_COVERED_SHARE = 0.5  # of the drive, by the times of a sensor
 HOLE = "hole"  # code of the finding on a time in which nothing was recorded
 # least motion in a hole: m, rad, share of the drive's distance; over a smaller one, wheel odometry is good enough
 MIN_HOLE_M, MIN_HOLE_RAD, MIN_HOLE_SHARE = 0.3, math.radians(20.0), 0.05
-MIXED = frozenset(
-    {EQUAL, PUBLISHERS, SLIPPING, STUCK, UNIT, UNSIGNED}
-)  # codes of findings that make all other checks wrong
+# codes of findings that make all other checks wrong
+MIXED = frozenset({EQUAL, PUBLISHERS, SLIPPING, STUCK, UNIT, UNSIGNED})
 HELD = "held"  # code of the finding on counters that stood still while the robot drove far, and then caught up
 CARRIED = "carried"  # code of the finding on a robot that moves while its wheels stand
 # while the wheels stand, least motion of the truth: m, sigmas of its noise; least turn of the laser: rad
@@ -113,9 +112,9 @@ def examine(
         found += of_sweep(streams["lrf"], drive, robot, clock_offset("lrf", by_sensor))
     if wrong_wheels:  # other checks need correct wheels
         return [*found, *(_start(drive, robot) if any(o.code == ZERO for o in turning) else [])]
-    unit = of_axes(drive) or of_unit(drive) or of_body(drive) or of_copy(drive)
-    found += unit
-    if unit or any(o.code == MIRROR for o in turning):
+    wrong = of_wrong_kind(drive)
+    found += wrong
+    if wrong or any(o.code == MIRROR for o in turning):
         drive = replace(drive, truth=None)  # such a truth is not compared
     body, drive = of_odometry(drive, robot)
     found += body
@@ -272,9 +271,8 @@ def of_holes(drive: Drive, found: Sequence[tuple[float, float]]) -> list[Finding
         "which no sensor is judged"
     )
     begin, end = longest_part(drive, found)
-    part = "".join(f" {o} {t:.1f}" for o, t in (("--from", begin), ("--to", end)) if t is not None)
     if (float(drive.t[-1]) if end is None else end) - (begin or 0.0) >= MIN_DURATION_S:
-        words += f". To judge a part: locfuse compare LOG{part}"
+        words += judge_words(begin, end)
     return [Finding("log", HOLE, words, severe=True)]
 
 
@@ -288,6 +286,12 @@ def longest_part(drive: Drive, found: Sequence[tuple[float, float]]) -> tuple[fl
     spans = [(b - a) * (1.0 if i else 2.0) for i, (a, b) in enumerate(zip(ends[::2], ends[1::2], strict=True))]
     i = int(np.argmax(spans))
     return None if i == 0 else ends[2 * i], None if i == len(found) else ends[2 * i + 1]
+
+
+def judge_words(begin: float | None, end: float | None) -> str:
+    """Return the command that judges the drive from `begin` to `end` [s], as the end of a message."""
+    part = "".join(f" {o} {t:.1f}" for o, t in (("--from", begin), ("--to", end)) if t is not None)
+    return f". To judge a part: locfuse compare LOG{part}"
 
 
 def of_carried(drive: Drive) -> list[Finding]:
@@ -320,8 +324,7 @@ def of_carried(drive: Drive) -> list[Finding]:
     begin, end, shown_by = found[0]
     when = f"from {begin:.1f} s to {end:.1f} s" + (f" (the first of {len(found)} times)" if found[1:] else "")
     words = f"they stand still {when}, while {shown_by}: the robot was carried, or their driver stopped"
-    part = zip(("--from", "--to"), longest_part(drive, [(begin, end) for begin, end, _ in found]), strict=True)
-    words += f". To judge a part: locfuse compare LOG{''.join(f' {o} {t:.1f}' for o, t in part if t is not None)}"
+    words += judge_words(*longest_part(drive, [(begin, end) for begin, end, _ in found]))
     return [Finding("wheels", CARRIED, words)]
 
 

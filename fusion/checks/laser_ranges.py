@@ -50,9 +50,8 @@ MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS, TRIED_SIGMAS = 0.02, 0.03, 5.0, 3.
 BEAM_ANGLES = "beam angles"  # code of the finding on the angle between beams
 # its limits: relative error (places near corners take part, which adds up to 0.007); its standard errors
 MIN_ANGLE_ERROR, ANGLE_SIGMAS = 0.015, 5.0
-MAX_TURNED_SHARE = (
-    0.002  # turn during a sweep / angle of the sweep: it changes the angle between beams by this share
-)
+# turn during a sweep / angle of the sweep: it changes the angle between beams by this share
+MAX_TURNED_SHARE = 0.002
 SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
 MIN_DEGREES = 8.0 * math.pi  # rad: of beams that cover more, the angles are in degrees
 MAX_OFF_STEPS = 3.0  # increments: smaller differences are wrong counts of beams

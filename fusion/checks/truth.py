@@ -349,13 +349,12 @@ def of_body(drive: Drive) -> list[Finding]:
     share, alike = turns_explained(wheels, truth.t, np.unwrap(truth.theta)), path_alike(wheels, truth.t, truth.xy)
     if share is None or share > MAX_OTHER_SHARE or alike is None or alike > MIN_ALIKE or truth_lag(drive):
         return []
-    sure = {
-        name: turns_explained(wheels, *heading) or 0.0 for name, heading in headings(drive.measurements).items()
-    }
-    if (best := max(sure, key=lambda name: sure[name], default="")) == "" or sure[best] < MIN_SURE_SHARE:
+    known = headings(drive.measurements).items()
+    sure, best = max(((turns_explained(wheels, *h) or 0.0, name) for name, h in known), default=(0.0, ""))
+    if sure < MIN_SURE_SHARE:
         return []
     words = (
-        f"the wheels explain {share:.0%} of its turns, and {sure[best]:.0%} of those of the {best}: it tracks "
+        f"the wheels explain {share:.0%} of its turns, and {sure:.0%} of those of the {best}: it tracks "
         "another body, or its clock is wrong by more than a second. Errors by it mean nothing: set truth.topic to "
         "your robot's"
     )
@@ -385,6 +384,11 @@ def of_copy(drive: Drive) -> list[Finding]:
         "(as by robot_localization), and judges nothing"
     )
     return [Finding("truth", COPY, words, (NO_TRUTH,), True)]
+
+
+def of_wrong_kind(drive: Drive) -> list[Finding]:
+    """Return a finding on a truth with wrong axes, in another unit, of another body, or made of the wheels."""
+    return of_axes(drive) or of_unit(drive) or of_body(drive) or of_copy(drive)
 
 
 def of_unit(drive: Drive) -> list[Finding]:
@@ -437,7 +441,7 @@ def of_size(drive: Drive, motion: WallMotion | None) -> list[Finding]:
 
 def unusable(drive: Drive) -> Finding | None:
     """Return a finding if no error can be computed by this truth (few poses, unit, axes, jumps), else None."""
-    for found in (*of_few(drive), *of_axes(drive), *of_unit(drive), *of_body(drive), *of_copy(drive)):
+    for found in of_few(drive) or of_wrong_kind(drive):
         return found
     jumps = jumps_of(drive)
     if jumps is None or not jumps.unusable:

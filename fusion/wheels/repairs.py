@@ -118,8 +118,8 @@ def spread(t: Array, way: Array) -> tuple[Array, tuple[str, ...]]:
     burst = np.repeat(np.arange(len(last)), size)
     words = (
         f"stamps come in bursts of {usual} every {usual * period:.3f} s, but the way between readings is even: "
+        "the times are made even. Let the driver stamp when it measures"
     )
-    words += "the times are made even. Let the driver stamp when it measures"
     return t[last][burst] - (last[burst] - np.arange(len(t))) * apart[burst], (words,)
 
 

@@ -21,7 +21,7 @@ from locfuse.fusion.lines.scans import SCAN_FIELDS, scan_period
 from locfuse.fusion.mount import SIGMA_M
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
-from locfuse.fusion.statistics import MAD_OF_NORMAL, MIN_SQUARES, best_split, jackknife, robust, robust_sigma
+from locfuse.fusion.statistics import MIN_SQUARES, best_split, jackknife, robust, robust_sigma
 from locfuse.fusion.streams import seconds, taken
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -368,14 +368,10 @@ def slipping(walls: WallPairs) -> float | None:
 
 def _solved(walls: WallPairs, A: Array) -> Array | None:
     """Return the robust least-squares solution (c,) of A (k, c) for the walls' distances; None for few walls."""
-    keep = np.ones(len(A), dtype=bool)
-    for _ in range(4):
-        if keep.sum() < MIN_WALLS:
-            return None
-        x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
-        rest = np.abs(walls.y - A @ x)
-        keep = rest <= 3.0 / MAD_OF_NORMAL * max(float(np.median(rest[keep])), 1e-4)
-    return np.asarray(x)
+    if len(A) < MIN_WALLS:
+        return None
+    x, keep = robust(A, walls.y)
+    return x if keep.sum() >= MIN_WALLS else None
 
 
 def turned(walls: WallPairs) -> float | None:

@@ -21,7 +21,7 @@ from locfuse.fusion.lines.scans import (
     sweep_time,
 )
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
-from locfuse.fusion.statistics import MAD_OF_NORMAL, jackknife
+from locfuse.fusion.statistics import jackknife, robust
 from locfuse.fusion.streams import take
 
 from .finding import Finding
@@ -271,14 +271,8 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
 
 
 def _added(bends: Array) -> Array:
-    """Return the k corrections that make bends (n, 1 + k) of `_bends` zero: least squares without outliers."""
-    bend, slopes = bends[:, 0], bends[:, 1:]
-    add: Array = np.zeros(slopes.shape[1])
-    for _ in range(4):
-        rest = bend + slopes @ add
-        near = np.abs(rest) <= 3.0 / MAD_OF_NORMAL * max(float(np.median(np.abs(rest))), 1e-4)
-        add = -np.linalg.lstsq(slopes[near], bend[near])[0].astype(np.float64)
-    return add
+    """Return the k corrections that make bends (n, 1 + k) of `_bends` zero, by robust least squares."""
+    return -robust(bends[:, 1:], bends[:, 0])[0]
 
 
 def scatter_more(shown: float | None, sigma: float) -> bool:

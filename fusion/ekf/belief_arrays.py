@@ -462,6 +462,17 @@ class JointBelief(ekf.State):
         self._forget_pose(first)
         self._mark_kept()
 
+    def change_frame(self, R: Array) -> None:
+        """Change the local frame to one in which the present frame has the pose R (3,).
+
+        The pose in the map, G o q, does not change: G becomes G o R^-1 and q becomes R o q.
+        """
+        if self.events is not None:
+            self.events.add(FrameMoved())
+        G, q, back = np.array(self.frame_pose()), self._x[:3].copy(), se2.inverse(R)
+        self.transform(self._frame_columns(), se2.compose(G, back), pose_by_frame(G[None], back[None])[0])
+        self.transform(POSE, se2.compose(R, q), se2.rotation(R[2]))
+
     def know_frame(self, frame: Array, P: Array) -> None:
         """Set the map frame pose to `frame` (3,), covariance P (3, 3), by evidence independent of the state.
 

@@ -107,7 +107,7 @@ class Changed(NamedTuple):
 
 
 class FrameMoved(NamedTuple):
-    """Event: a new submap begins at the local pose q; the pose G of the map frame becomes G o q."""
+    """Event: the local frame changes, at a new submap or a return to one; so does its pose G in the map."""
 
 
 Event = Moved | Corrected | FrameTurned | VarianceAdded | Added | Dropped | Changed | FrameMoved

@@ -398,19 +398,12 @@ class AtlasTracker(LineTracker):
     def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
         """Continue in the frozen submap `old`: its lines become states, and its anchor becomes the local frame.
 
-        The graph gives R, the pose of the present anchor relative to the old one. The pose in the map, G o q, does
-        not change: G becomes G o R^-1 and q becomes R o q.
+        The graph gives R, the pose of the present anchor relative to the old one.
         """
         R, P = self._anchors.relative(old.anchor, self._at)
-        q, frame = np.array(belief.pose()), belief.frame_pose()
-        assert belief.framed
-        assert frame is not None
-        back = se2.inverse(R)
-        G = np.array(frame)
-        columns = np.arange(belief.frame, belief.frame + 3)
-        belief.transform(columns, se2.compose(G, back), pose_by_frame(G[None], back[None])[0])
+        q = np.array(belief.pose())
+        belief.change_frame(R)
         belief.know_frame(self._anchors.pose[old.anchor], self._anchors.covariance(old.anchor))
-        belief.transform(np.arange(3), se2.compose(R, q), se2.rotation(R[2]))
         J = pose_by_frame(R[None], q[None])[0]
         spread = J @ P @ J.T
         at_least = np.abs(spread).sum(axis=1)  # a diagonal covariance that is at least `spread`

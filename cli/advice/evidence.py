@@ -313,7 +313,8 @@ class Evidence(NoiseFindings):
     def _seen(self, finding: Finding) -> Candidate:
         """Return the candidate for a finding of `doctor`, with variants of its fix."""
         measured = finding.code in MEASURED and (finding.severe or finding.code != OFFSET)
-        measured = measured or (finding.code == AHEAD and self._sits_as_far_back(finding))
+        proven = finding.code == RATIO and finding.severe
+        measured = measured or proven or (finding.code == AHEAD and self._sits_as_far_back(finding))
         ways = [finding.fixes] if finding.fixes else []
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
             ways.append(finding.fixes[:1])  # the radius alone, without the track
@@ -326,7 +327,7 @@ class Evidence(NoiseFindings):
         if one.key == TRUTH_NOISE and self.overconfident:
             # it changes no pose, and the truth alone shows it: what then is underconfident was so before
             return replace(one, measured=True, proven=True, minor=one.judges, offer=False)
-        return replace(one, measured=measured, by_shape=one.key in BY_SHAPE)
+        return replace(one, measured=measured, proven=proven, by_shape=one.key in BY_SHAPE)
 
     def _sits_as_far_back(self, finding: Finding) -> bool:
         """Return whether a sensor's estimated mount is as far back as an odometry's body seems to be ahead."""

@@ -37,6 +37,7 @@ RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is comp
 RATIO = "ratio"  # code of the finding on wheels of different size
 RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the ratio: reported, tried
 SEVERE_RATIO_ERROR = 0.03
+AGREED_SIGMAS = 2.0  # standard errors of a second sensor's ratio that confirms the first one's
 MAX_HEADINGS = 5000  # of the truth, for the wheels' ratio
 RATES = ("gyro", "twist")  # sensors that measure a rate, which has a bias
 MIN_SPEED_SPREAD = 0.2  # least standard deviation of the speed as share of its mean, beside a bias
@@ -355,17 +356,18 @@ def of_ratio(drive: Drive, robot: Robot, by_sensor: Turnings, least: Least | Non
     # directions of travel are less exact than headings
     names.sort(key=lambda name: name == "truth", reverse=truth is not None and truth.theta is not None)
     names.sort(key=RATES.__contains__)
-    found = ((n, _ratio(known[n], by_sensor[n].offset, drive.wheels, n in RATES)) for n in names)
-    name, (ratio, sigma) = next(((name, fit) for name, fit in found if fit is not None), ("", (1.0, 0.0)))
+    fits = ((n, _ratio(known[n], by_sensor[n].offset, drive.wheels, n in RATES)) for n in names)
+    (name, (ratio, sigma)), *others = [(n, fit) for n, fit in fits if fit is not None] or [("", (1.0, 0.0))]
     least, off = RATIO_ERRORS[least is not None], abs(ratio - 1.0)
     if off < least.error + least.sigmas * sigma:
         return []
+    agreed = any((other - 1.0) * math.copysign(1.0, ratio - 1.0) > AGREED_SIGMAS * s for _, (other, s) in others)
+    severe = agreed or off > SEVERE_RATIO_ERROR + RATIO_ERRORS[0].sigmas * sigma
     ratio *= wheels.ratio
     words = (
         f"by the headings of {source_words(name)} the right wheel's radius is {ratio:.3f} times the left one's (1 "
         f"sigma {sigma:.3f}), configured {wheels.ratio:g}"
     )
-    severe = off > SEVERE_RATIO_ERROR + RATIO_ERRORS[0].sigmas * sigma
     return [Finding("wheels", RATIO, words, (f"wheels.ratio={ratio:.4g}",), severe)]
 
 

@@ -233,6 +233,15 @@ def test_a_larger_wheel_is_named_by_headings(by: str) -> None:
     assert of_ratio(larger, states, shown) == []
 
 
+def test_two_sensors_that_agree_make_a_small_difference_of_the_wheels_sure() -> None:
+    right = drive(5, robot(), truth=False)
+    larger = rolled(right, right.wheels.rolled * [1.0, 0.965])
+    shown = turnings(larger)
+    several = [{name: shown[name] for name in names} for names in (("compass", "lrf"), ("compass",))]
+    found = [f for some in several for f in of_ratio(larger, robot(), some, Least(0.005, 2.0))]
+    assert [f.severe for f in found] == [True, False]
+
+
 @pytest.mark.parametrize("even", [True, False])
 def test_a_larger_wheel_is_named_by_a_gyro_if_the_speed_varies(even: bool) -> None:
     """At an even speed the bias of the gyro looks the same."""

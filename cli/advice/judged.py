@@ -24,7 +24,7 @@ from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.tried import Candidate, Fixes, keys
 from locfuse.fusion.checks.truth import FEW
 from locfuse.fusion.data import BASES, LASER, Estimates
-from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, judge, many_refused
+from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, judge
 from locfuse.fusion.judge.evaluate import covariance_check
 from locfuse.fusion.judge.innovations import OwnInnovations, own
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -156,7 +156,6 @@ class Judged:
         return [e for e in runs if not sensors or e.sensors[0] in sensors]
 
 
-MAX_AWAY = 0.1  # largest relative growth of a run's mean distance from the laser's path by less wheel noise
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 TOO_LOW = 2.0  # times the observed sigma is tried too: the gate has rejected the largest residuals
 MAX_OFFERED_FACTOR = 8.0  # largest proposed increase of a sigma: more would disable the sensor
@@ -173,6 +172,8 @@ class NoiseFindings(Judged):
         """Return candidate fixes of the noise settings of sensors and wheels."""
         found = []
         for sensor, verdict in self.consistency.items():
+            if verdict.verdict == "overstated" and sensor != LASER and self.loaded.drive.truth is None:
+                continue  # costs little, and no truth would show errors that last longer than its readings do
             seen, more = _noise_options(sensor, verdict), self._by_anees(sensor)
             by_ranges, words = self._as_ranges_scatter(sensor, verdict), verdict.words
             if by_ranges:
@@ -182,8 +183,6 @@ class NoiseFindings(Judged):
             scattered = smaller is not None and scatter_more(self._ranges_sigma, smaller)
             if scattered or self._overconfident(sensor, verdict):
                 seen = []
-            if seen and verdict.verdict == "overstated":
-                seen, words = self._with_wheel_noise(sensor, seen, words)
             code, words = (verdict.verdict, words) if seen else self._by_truth(sensor)
             found += self._shared_by_lines(sensor, verdict)
             by_settings = (f"{sensor}.covariance=sigma",) if self._claimed(sensor) else ()
@@ -291,44 +290,15 @@ class NoiseFindings(Judged):
     def _slips_unusually(self) -> bool:
         """Whether the wheels slip more than wheels.noise allows, or clearly less.
 
-        Less slip is accepted only if truth can judge it or several sensors agree: wheels may slip rarely but far,
-        and turns by laser scans are not independent of a run that uses these scans.
+        Less slip is accepted only if truth can judge it: wheels may slip rarely but far.
         """
         found, truth = self._slip, self.loaded.drive.truth
-        return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
+        return found is not None and found.unusual and (found.factor > 1.0 or truth is not None)
 
     def _overconfident(self, sensor: str, verdict: Consistency) -> bool:
         """Return whether residuals call a sensor's sigma too large, but by truth its run is overconfident."""
         check = self.covariance_checks.get(self._alone(sensor))
         return verdict.verdict == "overstated" and check is not None and check.overconfident
-
-    def _with_wheel_noise(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
-        """Return fixes with smaller sensor noise that do not make the gate reject too much, and the message.
-
-        If there are none, the first fix is combined with more wheel noise, and the message gives the reason:
-        sensor noise set too high can hide wheel noise set too low. Not needed with truth (`_overconfident`).
-        """
-        if self.loaded.drive.truth is not None:
-            return seen, words
-        usual, shares = [], []
-        for fixes in seen:
-            share = self._rejected_share(sensor, fixes)
-            if share is None or not many_refused(sensor, share):
-                usual.append(fixes)
-            else:
-                shares.append(share)
-        if usual or not shares:
-            return usual, words
-        noise = self.loaded.robot.wheels.noise
-        more = [(*seen[0], f"wheels.noise={noise * f:.2g}") for f in WHEEL_NOISE_FACTORS if f > 1.0]
-        both = [fixes for fixes in more if not many_refused(sensor, self._rejected_share(sensor, fixes) or 0.0)]
-        alone = f"with the first alone {min(shares):.0%} of its readings would be rejected"
-        return both, f"{words}; wheels.noise is set too low ({alone})"
-
-    def _rejected_share(self, sensor: str, fixes: Fixes) -> float | None:
-        """Return the share of a sensor's readings rejected with these settings added; None if fusing fails."""
-        found = self._innovations(sensor, fixes)
-        return None if found is None else found.refused
 
     def _innovations(self, sensor: str, fixes: Fixes) -> OwnInnovations | None:
         """Return a sensor's innovation statistics with these settings added; None if fusing fails."""
@@ -369,22 +339,6 @@ class NoiseFindings(Judged):
         words = f"position errors with it are {times:.2g} times what the covariance claims"
         return "understated" if check is None or check.anees > 1.0 else "overstated", words
 
-    def _leaves_laser(self, fixes: Fixes) -> bool:
-        """Return whether a run without the laser ends up farther from the laser's path by more than MAX_AWAY.
-
-        Less noise of the wheels improves predictions, and yet enlarges the error if another sigma is too large.
-        """
-        for laser in self.runs_alone(LASER):
-            claimed = float(np.sqrt(laser.P[:, 0, 0] + laser.P[:, 1, 1]).mean())
-            for e in self.runs_alone():
-                after = None if e is laser else self.trial.run((*self.fixes, *fixes), e.name)
-                if after is None:
-                    continue
-                far, farther = (float(np.hypot(*(run.pose - laser.pose)[:, :2].T).mean()) for run in (e, after))
-                if farther > max(claimed, (1.0 + MAX_AWAY) * far):
-                    return True
-        return False
-
     def _wheel_noise(self) -> Candidate:
         noise = self.loaded.robot.wheels.noise
         words = f"wheels.noise = {noise:g} m does not fit this drive"
@@ -398,19 +352,10 @@ class NoiseFindings(Judged):
         if any(e.slips for e in self.compared.estimates):  # slips were detected: less noise cannot be right
             factors = tuple(factor for factor in factors if factor > 1.0)
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
-        if self.loaded.drive.truth is None and all(factor < 1.0 for factor in factors):
-            options = tuple(fixes for fixes in options if not self._leaves_laser(fixes))
         found = self._candidate(Finding("wheels", "noise", words), options, True)
         # odometry, one random walk, cannot judge noise; minor configurations change by chance
         judges = tuple(n for n in found.judges if n not in found.minor and n not in BASES)
-        # less noise counts as measured only with truth: wheels may slip more elsewhere
-        more = any(factor > 1.0 for factor in factors)
-        return replace(
-            found,
-            judges=judges,
-            guards=tuple(self.trial.configurations),
-            measured=measured and (more or self.loaded.drive.truth is not None),
-        )
+        return replace(found, judges=judges, guards=tuple(self.trial.configurations), measured=measured)
 
 
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:

@@ -44,7 +44,6 @@ class WheelSlip(NamedTuple):
     seen: float  # rad, over LONG_S: observed 1 sigma of turns by slip
     expected: float  # rad, the same by `wheels.noise`
     by: str = ""  # reference: a sensor, or several that agree: "compass and lrf"
-    agreed: bool = False  # whether several sensors show about the same
     sigma: float = 0.0  # of the factor, by the sensor's own noise
     ahead: tuple[float, float] | None = None  # m, over LONG_S: observed and expected, if by distances
 
@@ -91,7 +90,7 @@ def slip(drive: Drive) -> WheelSlip | None:
     less = [s for s in found if s.factor < 1.0 / MAX_FACTOR]
     if len(less) > 1 and len(less) == len(found):
         names = " and ".join(s.by for s in less)
-        return max(less, key=lambda s: s.factor)._replace(by=names, agreed=True)
+        return max(less, key=lambda s: s.factor)._replace(by=names)
     return min(found, key=lambda s: s.factor, default=None)
 
 

@@ -97,10 +97,8 @@ def test_two_sensors_that_see_less_slip_vouch_for_the_larger_of_their_answers() 
     one = configured(drive(5, robot(), ("compass", "lrf"), laps=2.0, truth=False), 9.0)
     alone = [present(slip(replace(one, measurements={k: one.measurements[k]}))) for k in ("compass", "lrf")]
     both = present(slip(one))
-    assert both.agreed
     assert both.by == "compass and lrf"
     assert both.factor == max(found.factor for found in alone)
-    assert not any(found.agreed for found in alone)
 
 
 def test_sensors_that_disagree_about_slip_vouch_for_nothing() -> None:
@@ -111,7 +109,6 @@ def test_sensors_that_disagree_about_slip_vouch_for_nothing() -> None:
     wandering = {**one.measurements, "compass": replace(m, z=m.z + walk[:, None])}
     found = present(slip(replace(one, measurements=wandering)))
     assert found.by == "lrf"
-    assert not found.agreed
 
 
 @pytest.mark.parametrize("noise", [0.0, 4.0 * NOISE])

@@ -65,7 +65,9 @@ def inspect_log(words: Parts, how: LogOptions, progress: Progress = silent) -> O
         *possible_truth(overview),
         *of_stamps(facts, choice, overview.robot),
         *of_publishers(log, choice),
-        *_of_messages("lrf", choice.of("lrf"), lambda stream, _: driver(stream), overview),
+        *_of_messages(
+            "lrf", choice.of("lrf"), lambda stream, _: driver(stream, log.recorded(stream.topic)), overview
+        ),
         *_of_messages("camera", pictures_of(log, choice), of_pictures, overview),
         *_maps(overview),
     ]

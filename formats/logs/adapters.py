@@ -208,6 +208,10 @@ LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # elevation limits of the slice
 NEAR_M, FAR_M = 0.3, 100.0  # m: limits of the range; nearer points are on the robot itself
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 PACKED = np.array([0, 2, 1, 4, 3, 6, 5, 7, 8])  # foxglove.PackedElementField's numeric type -> PointField's
+# time of a point: since the header stamp (Velodyne, Ouster), or its date (Hesai, Livox, RoboSense)
+TIME_FIELDS = ("time", "t", "timestamp", "time_stamp", "offset_time")
+BEGIN = "begin"  # column beside those of a LaserScan
+MIN_TIMED, MAX_UNEVEN_BEAMS = 20, 4.0  # points that show a sweep; 2 degrees, as large as one packet of points
 OPTICAL = "_optical"  # a camera's frame: x right, y down, z ahead
 
 
@@ -227,19 +231,26 @@ def echoes_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) ->
 def cloud_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Convert PointCloud2 columns to LaserScan: a level slice of each cloud."""
     n = len(cast("Array", columns["width"]))
-    return _as_scans(n, lambda i: points(columns, i), fields, frame_id)
+    return _as_scans(n, lambda i: points(columns, i), frame_id)
 
 
-def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan columns of n clouds; `cloud(i)` returns the points (m, 3) [m] of cloud i."""
+def _as_scans(n: int, cloud: Callable[[int], Array], frame_id: str) -> dict[str, Column]:
+    """Return LaserScan columns of n clouds, and in the column BEGIN the times [s] of their first beams.
+
+    `cloud(i)` returns the points (m, 4) of cloud i: x, y, z [m], time. Beams are in the order of the sweep.
+    """
+    ranges, sweeps = [np.empty(0)], np.empty((n, 4))
+    for i in range(n):
+        away, beam, t = level_slice(cloud(i), OPTICAL in frame_id)
+        first, way, *sweeps[i, 2:] = sweep_of(beam, t)
+        sweeps[i, :2] = first, way
+        ranges.append(np.roll(nearest_to_beams(away, beam), -first if way > 0 else -first - 1)[::way])
+    first_beam, ways, each, begin = sweeps.T
     step = 2.0 * np.pi / SLICE_BEAMS
-    fixed = zip(LIKE_A_SCAN, (-np.pi + 0.5 * step, np.pi - 0.5 * step, step, 0.0, NEAR_M, FAR_M), strict=True)
-    made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed}
-    if "ranges" in fields:
-        ranges = [level_slice(cloud(i), OPTICAL in frame_id) for i in range(n)]
-        values = np.concatenate([np.empty(0), *ranges]).astype(np.float32)
-        made["ranges"] = Ragged(values, np.arange(n + 1) * SLICE_BEAMS)
-    return made
+    start = -np.pi + (first_beam + 0.5) * step
+    made = start, start + ways * (2.0 * np.pi - step), ways * step, each, np.full(n, NEAR_M), np.full(n, FAR_M)
+    rows = Ragged(np.concatenate(ranges).astype(np.float32), np.arange(n + 1) * SLICE_BEAMS)
+    return {**dict(zip(LIKE_A_SCAN, made, strict=True)), "ranges": rows, BEGIN: begin}
 
 
 def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
@@ -260,9 +271,13 @@ def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id
     place, turn = np.nan_to_num(_stacked(columns, PLACE)), _stacked(columns, TURN)
     squares = np.square(turn).sum(axis=1)
     turn[~((squares > 0.0) & (squares < np.inf))] = 0.0, 0.0, 0.0, 1.0  # an invalid rotation is left out
-    return _as_scans(
-        len(step), lambda i: rotated_3d(turn[i : i + 1], points(cloud, i)) + place[i], fields, frame_id
-    )
+
+    def posed(i: int) -> Array:
+        xyzt = points(cloud, i)
+        xyzt[:, :3] = rotated_3d(turn[i : i + 1], xyzt[:, :3]) + place[i]
+        return xyzt
+
+    return _as_scans(len(step), posed, frame_id)
 
 
 def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
@@ -285,13 +300,18 @@ def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) 
 
 
 def points(columns: Mapping[str, Any], i: int) -> Array:
-    """Return the points of cloud i, (n, 3) [m] in its frame; (0, 3) without valid fields x, y and z."""
-    nothing: Array = np.empty((0, 3))
+    """Return the points of cloud i, (n, 4): x, y, z [m] in its frame, and their times in the unit of the cloud.
+
+    Without a field of TIME_FIELDS the times are NaN. The result is (0, 4) without valid fields x, y and z.
+    """
+    nothing: Array = np.empty((0, 4))
     names, first = columns["fields.name"][i], columns["fields.offset"].first[i]
     if not {"x", "y", "z"} <= set(names):
         return nothing
-    at = [names.index(axis) for axis in "xyz"]
-    kinds = [DATATYPES.get(int(columns["fields.datatype"].values[first + k]), "") for k in at]
+    kind_of = [DATATYPES.get(int(k), "") for k in columns["fields.datatype"][i]]
+    timed = [name for name in TIME_FIELDS if name in names and kind_of[names.index(name)]][:1]
+    at = [names.index(axis) for axis in ("x", "y", "z", *timed)]
+    kinds = [kind_of[k] for k in at]
     offsets = [int(columns["fields.offset"].values[first + k]) for k in at]
     step, width, height, row = (int(columns[k][i]) for k in ("point_step", "width", "height", "row_step"))
     if (
@@ -302,31 +322,63 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
         return nothing
     order = ">" if columns["is_bigendian"][i] else "<"
     formats = [order + k for k in kinds]
-    layout = np.dtype({"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": step})
+    layout = np.dtype({"names": list("xyzt"[: len(at)]), "formats": formats, "offsets": offsets, "itemsize": step})
     data = np.frombuffer(columns["data"][i], np.uint8)
     if height > 1 and row > width * step:  # padded rows
         data = data[: len(data) // row * row].reshape(-1, row)[:, : width * step].reshape(-1)
     cloud = np.frombuffer(data[: len(data) // step * step].tobytes(), layout)
-    return np.stack([cloud[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    found: Array = np.full((len(cloud), 4), np.nan)
+    for k, name in enumerate(layout.names or ()):
+        found[:, k] = cloud[name]
+    return found
 
 
-def level_slice(xyz: Array, optical: bool = False) -> Array:
-    """Return the ranges (SLICE_BEAMS,) [m] of the level slice of points (n, 3) [m]; Inf: no point."""
+def level_slice(xyzt: Array, optical: bool = False) -> tuple[Array, Array, Array]:
+    """Return the distance [m], the bearing [beams] and the time of each point (k,) in the level slice of a cloud.
+
+    `xyzt` (n, 4) are x, y, z [m] and time. The bearing grows counter-clockwise from 0 behind the sensor.
+    """
+    x, y, z, t = xyzt.T
     if optical:
-        xyz = np.stack((xyz[:, 2], -xyz[:, 0], -xyz[:, 1]), axis=-1)
-    ranges = np.full(SLICE_BEAMS, np.inf)
-    away = np.hypot(xyz[:, 0], xyz[:, 1])
+        x, y, z = z, -x, -y
+    away = np.hypot(x, y)
     with np.errstate(invalid="ignore"):
-        level = (xyz[:, 2] >= away * np.tan(LOW_RAD)) & (xyz[:, 2] <= away * np.tan(HIGH_RAD))
+        level = (z >= away * np.tan(LOW_RAD)) & (z <= away * np.tan(HIGH_RAD))
         seen = level & (away >= NEAR_M) & (away <= FAR_M)
-    away, xyz = away[seen], xyz[seen]
-    turned = (np.arctan2(xyz[:, 1], xyz[:, 0]) + np.pi) * (SLICE_BEAMS / (2.0 * np.pi))
-    beam = np.minimum(turned.astype(np.int64), SLICE_BEAMS - 1)
-    order = np.lexsort((away, np.abs(turned - beam - 0.5), beam))
+    return away[seen], (np.arctan2(y, x)[seen] + np.pi) * (SLICE_BEAMS / (2.0 * np.pi)), t[seen]
+
+
+def nearest_to_beams(away: Array, bearing: Array) -> Array:
+    """Return the ranges (SLICE_BEAMS,) [m] of the points (k,) that `level_slice` returns; Inf: no point."""
+    ranges = np.full(SLICE_BEAMS, np.inf)
+    beam = np.minimum(bearing.astype(np.int64), SLICE_BEAMS - 1)
+    order = np.lexsort((away, np.abs(bearing - beam - 0.5), beam))
     found, nearest = np.unique(beam[order], return_index=True)
     ranges[found] = away[order][nearest]
     return ranges
 
+
+def sweep_of(bearing: Array, t: Array) -> tuple[int, int, float, float]:
+    """Return a spinning laser's first beam, direction, time between two beams [s] and time of the first beam [s].
+
+    `bearing` [beams] and t (k,) are those of points, t in s, ms, us or ns: of these, the largest unit with which a
+    cloud lasts at most 1 s. The direction is 1 counter-clockwise, else -1. If the points have no times, or do not
+    turn evenly (as of a laser with a pattern), the time between beams is 0, and that of the first is NaN.
+    """
+    unknown = 0, 1, 0.0, np.nan
+    span = float(np.ptp(t)) if len(t) >= MIN_TIMED else 0.0
+    if not 0.0 < span < np.inf:  # NaN too
+        return unknown
+    unit = 10.0 ** (-3 * max(0, int(np.ceil(np.log10(span) / 3))))
+    order = np.argsort(t, kind="stable")
+    since, turned = (t[order] - t[order[0]]) * unit, np.unwrap(bearing[order], period=SLICE_BEAMS)
+    rate, begin = np.polyfit(since, turned, 1).tolist()
+    if rate == 0.0 or np.median(np.abs(turned - begin - rate * since)) > MAX_UNEVEN_BEAMS:
+        return unknown
+    return int(begin // 1) % SLICE_BEAMS, 1 if rate > 0.0 else -1, 1.0 / abs(rate), float(t[order[0]]) * unit
+
+
+OF_CLOUDS = (cloud_as_scans, foxglove_clouds_as_scans)
 
 # --- The table of adapters
 
@@ -353,15 +405,7 @@ PRESENTED: Mapping[str, Presented] = {
         FOXGLOVE_ODOMETRY, Presented(ODOMETRY, "odometry", OF_FOXGLOVE_ODOMETRY, odometry_of_foxglove)
     ),
     SPORT_STATE: Presented(ODOMETRY, "odometry", OF_SPORT_STATE, odometry_of_sport_state, frame=lambda _: "odom"),
-    **dict.fromkeys(
-        FOXGLOVE_JOINTS,
-        Presented(
-            JOINTS,
-            "joints",
-            OF_FOXGLOVE_JOINTS,
-            lambda columns, fields, _: {name: columns[f"joints.{name}"] for name in fields},
-        ),
-    ),
+    **dict.fromkeys(FOXGLOVE_JOINTS, Presented(JOINTS, "joints", OF_FOXGLOVE_JOINTS, joints_of_foxglove)),
     **dict.fromkeys(FEEDBACK, Presented(JOINTS, "joints", OF_FEEDBACK, joints_of_feedback)),
     VEHICLE_ODOMETRY: Presented(ODOMETRY, "odometry", OF_ODOMETRY, odometry_of_vehicle, frame=lambda _: "odom"),
     LOCAL_POSITION: Presented(ODOMETRY, "odometry", OF_POSITION, odometry_of_position, frame=lambda _: "odom"),

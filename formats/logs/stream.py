@@ -18,11 +18,11 @@ from locfuse.formats.columns import Bytes, Growing, GrowingArray, n_bytes
 from locfuse.formats.container.source import Messages
 from locfuse.formats.inputs import MAX_LONG
 from locfuse.formats.messages.schema import Decoded, MessageDecoder, frame_path, stamp_path
-from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, Mask, Ragged
-from locfuse.fusion.streams import concat, take
+from locfuse.fusion.data import END_OF_TIME, Array, Block, Column, Ints, LocfuseError, Mask, Ragged
+from locfuse.fusion.streams import MAX_DELAY_S, concat, take
 
 from . import clock as clocks
-from .adapters import OF_PATH, POSE, PRESENTED
+from .adapters import BEGIN, OF_CLOUDS, OF_PATH, POSE, PRESENTED
 from .file_stream import RANGES, in_time_order
 
 
@@ -381,6 +381,9 @@ def field_of(name: str) -> tuple[str, str] | None:
     return (parts[0], parts[1]) if len(parts) == 2 and all(parts) else None
 
 
+SAMPLED_CLOUDS, MIN_SHIFT_S = 8, 0.001
+
+
 class PresentedStream(LogStream):
     """A topic converted to another message type by an adapter (formats.logs.adapters), block by block."""
 
@@ -393,6 +396,21 @@ class PresentedStream(LogStream):
     def frame_id(self) -> str:
         """The frame_id of the adapted messages."""
         return self._how.frame(super().frame_id)
+
+    @cached_property
+    def clock(self) -> clocks.RowTimes:
+        """Times of the rows; those of clouds are moved to their first beams, by the times of the points."""
+        clock = self.__dict__["clock"] = super().clock  # used by `blocks`
+        if self._how.make not in OF_CLOUDS or not clock.as_stamped:
+            return clock
+        rows, columns = next(self.blocks(BEGIN, rows=SAMPLED_CLOUDS), (NO_TIMES[0], {BEGIN: np.empty(0)}))
+        begin = cast("Array", columns[BEGIN])
+        late = np.where(np.abs(begin) > MAX_DELAY_S, begin - clock.t_ns[rows] * 1e-9, begin)  # of a date or not
+        shift = float(np.nanmedian(late)) if np.isfinite(late).any() else 0.0
+        if not MIN_SHIFT_S < abs(shift) < MAX_DELAY_S:
+            return clock
+        note = f"its stamps are moved by {shift:.3f} s to the first beams, by the times of the points"
+        return replace(clock, t_ns=clock.t_ns + round(shift * 1e9), notes=(*clock.notes, note))
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns of the target type; the source is read block by block."""

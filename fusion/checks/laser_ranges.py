@@ -66,13 +66,18 @@ def of_range_unit(m: Measurements, settings: LrfSettings) -> list[Finding]:
     return [Finding("lrf", UNIT, words, (f"lrf.range_scale={0.001 * settings.range_scale:.4g}",), True)]
 
 
-def driver(stream: Stream) -> list[Finding]:
-    """Return findings on faults of a laser's driver, from the first scans of a stream."""
+def driver(stream: Stream, own_beams: bool = True) -> list[Finding]:
+    """Return findings on faults of a laser's driver, from the first scans of a stream.
+
+    `own_beams`: whether the driver wrote the beams. Those of a slice of a cloud may have no point.
+    """
     parts = list(_sample(stream, SAMPLE_SCANS))
     if not parts:
         return []
     column = {k: np.concatenate([np.asarray(p[k]) for p in parts]) for k in parts[0] if k != "ranges"}
     lengths = np.concatenate([cast("Ragged", p["ranges"]).lengths for p in parts])
+    if not own_beams:
+        return _angles(column, lengths)
     held = _unreturned(parts, 0.0)
     found = [Finding("lrf", "no return", f"ranges without a return: {held}")] if held else []
     return [

@@ -11,7 +11,7 @@ from bags import T0, S, Said, cdr, header, write
 from commands import locfuse, refused, reported
 from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of, pose_of
 
-from locfuse.formats.logs.adapters import SLICE_BEAMS, level_slice
+from locfuse.formats.logs.adapters import SLICE_BEAMS, level_slice, nearest_to_beams, sweep_of
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import Array, Ragged
 
@@ -40,20 +40,26 @@ def seen(x: float) -> Array:
     return np.concatenate(rings)
 
 
-def cloud(ns: int, xyz: Array, frame: str = "velodyne", big: bool = False, kind: str = "f4") -> Said:
-    """Points with an intensity between them, as drivers pad them."""
+def cloud(
+    ns: int, xyz: Array, frame: str = "velodyne", big: bool = False, kind: str = "f4", times: Any = None
+) -> Said:
+    """Points with an intensity between them, as drivers pad them; with `times`, each has its own."""
     order = ">" if big else "<"
     size = int(kind[1])
     offsets = [0, size, 2 * size]
-    layout = np.dtype(
-        {"names": list("xyz"), "formats": [order + kind] * 3, "offsets": offsets, "itemsize": 3 * size + 4}
-    )
+    names, kinds = list("xyz"), [order + kind] * 3
+    if times is not None:
+        names, kinds, offsets = [*names, "t"], [*kinds, times.dtype.str], [*offsets, 3 * size + 4]
+    layout = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": 3 * size + 12})
     data = np.zeros(len(xyz), layout)
     for i, axis in enumerate("xyz"):
         data[axis] = xyz[:, i]
-    datatype = {"f4": 7, "f8": 8}[kind]
+    if times is not None:
+        data["t"] = times
+    datatype = {"u4": 6, "f4": 7, "f8": 8}
     fields = [
-        {"name": n, "offset": o, "datatype": datatype, "count": 1} for n, o in zip("xyz", offsets, strict=True)
+        {"name": name, "offset": o, "datatype": datatype[one[1:]], "count": 1}
+        for name, o, one in zip(names, offsets, kinds, strict=True)
     ]
     fields.append({"name": "intensity", "offset": 3 * size, "datatype": 7, "count": 1})
     message = cdr(
@@ -106,8 +112,39 @@ def test_every_beam_of_the_slice_is_the_wall_at_its_bearing(kind: str, big: bool
     assert (found <= expected.max(axis=0) + 1e-4).all()
 
 
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("told", ["s, stamped at the end", "ns, stamped at the start", "s, dates"])
+def test_beams_of_a_spinning_laser_have_the_times_of_their_points(told: str, way: int, tmp_path: Path) -> None:
+    lasts, begins_at = 0.1, math.radians(40.0)
+    share = np.arange(1800) / 1800
+    bearings = begins_at + way * 2.0 * math.pi * share
+    away = ranges(0.0, bearings)
+    xyz = np.stack((away * np.cos(bearings), away * np.sin(bearings), np.zeros(1800)), -1)
+    begin = T0 * 1e-9  # s, when the first point was measured
+    ns, times = {
+        "s, stamped at the end": (T0 + round(lasts * S), lasts * (share - 1.0)),
+        "ns, stamped at the start": (T0, (lasts * share * S).astype(np.uint32)),
+        "s, dates": (T0 + round(0.5 * lasts * S), begin + lasts * share),
+    }[told]
+    log = open_log([write(tmp_path / "x.mcap", [cloud(ns, xyz, times=times)])])
+    stream = log.stream("/velodyne_points:scan")
+    scan: Any = stream.columns("angle_min", "angle_increment", "time_increment", "ranges")
+    beams = np.arange(SLICE_BEAMS)
+    at = stream.t_ns[0] * 1e-9 + beams * scan["time_increment"][0] - begin
+    angles = scan["angle_min"][0] + beams * scan["angle_increment"][0]
+    expected = (way * (angles - begins_at) / (2.0 * math.pi) % 1.0) * lasts
+    assert at == pytest.approx(expected, abs=lasts / SLICE_BEAMS)
+    assert scan["ranges"][0] == pytest.approx(ranges(0.0, angles), rel=0.01)
+
+
+def test_points_in_a_pattern_give_beams_without_times() -> None:
+    rng = np.random.default_rng(0)
+    assert sweep_of(rng.uniform(0.0, SLICE_BEAMS, 500), rng.uniform(0.0, 0.1, 500))[2] == 0.0
+
+
 def test_of_a_picture_of_depth_the_axis_ahead_is_the_third() -> None:
-    ahead = level_slice(np.array([[0.0, 0.0, 3.0], [1.0, -0.05, 2.0]]), optical=True)  # x right, y down, z ahead
+    cloud = np.array([[0.0, 0.0, 3.0, np.nan], [1.0, -0.05, 2.0, np.nan]])  # x right, y down, z ahead
+    ahead = nearest_to_beams(*level_slice(cloud, optical=True)[:2])
     beams = -math.pi + (np.arange(SLICE_BEAMS) + 0.5) * 2 * math.pi / SLICE_BEAMS
     hit = np.flatnonzero(np.isfinite(ahead))
     assert beams[hit] == pytest.approx([math.atan2(-1.0, 2.0), 0.0], abs=np.radians(0.26))

@@ -11,6 +11,8 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
@@ -22,9 +24,9 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
 from .adapted_topics import not_read
-from .motion_evidence import MotionEvidence, MotionSensors
+from .motion_evidence import MAX_PERIOD_S, MotionEvidence, MotionSensors
 from .mounts import is_base, is_fixed, is_odometry, is_room
-from .topics import WHY_ONLY, Choice, checked, filled, of_sensor, one
+from .topics import WHY_ONLY, Choice, Note, checked, filled, of_sensor, one
 
 TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
 POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))
@@ -141,6 +143,9 @@ def _only_motion(log: Log, same: Sequence[Body], evidence: MotionEvidence | Moti
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
     """Yield the measured motions by kind, best first, estimates in a map frame last; twists only if `speeds`."""
     odometry = _free_topics(log, robot, choice, (ODOMETRY,))
+    few = {t: words for t in odometry if (words := _too_few(log, t))}
+    odometry = [t for t in odometry if t not in few]
+    choice.notes += [Note("wheels", f"{words}: not used") for words in few.values()]
     estimated = [t for t in odometry if is_room(log.stream(t).frame_id)]
     rolled = [t for t in odometry if t not in estimated]
     ranks = [[t for t in rolled if _odometry_rank(t) == rank] for rank in range(4)]
@@ -159,6 +164,16 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
     if speeds:
         yield [_odometry_body(t, WHY_ONLY, estimated) for t in twists]
     yield [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in estimated]
+
+
+def _too_few(log: Log, topic: str) -> str:
+    """Return in words that a topic has one message, as if latched, or one in more than MAX_PERIOD_S; else ""."""
+    count, (begin, end) = log.topics[topic].count, log.time_span_ns or (0, 0)
+    if count > max(1.0, (end - begin) * 1e-9 / MAX_PERIOD_S):
+        return ""
+    t_ns = log.stream(topic).t_ns
+    few = len(t_ns) < 2 or float(np.median(np.diff(t_ns))) > MAX_PERIOD_S * 1e9
+    return f"{topic} has too few messages to give the motion ({count})" if few else ""
 
 
 def _odometry_body(topic: str, why: str, others: Sequence[str]) -> Body:
@@ -268,6 +283,7 @@ def nothing_moves(log: Log) -> NoWheelsError:
         "poses and no speeds"
     )
     others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]
+    others += filter(None, (_too_few(log, topic) for topic in filled(log, ODOMETRY)))
     beside = filled(log, *ONLY_CORRECT)
     corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
     message = ". ".join([f"{words}{corrects if beside else ''}", *others]) + "."

@@ -125,6 +125,7 @@ def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> No
         lambda t: of_other_robot(t, beside),
         looks_like_truth,
         by_fixes,
+        lambda t: log.topics[t].count < 2,
     )
     candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:

@@ -73,6 +73,15 @@ def test_an_odometry_that_only_tf_has_gives_what_the_same_odometry_topic_gives(t
     assert 'topic = "/tf:odom:base_link"' in locfuse("init", tmp_path / "tf.mcap").stdout
 
 
+def test_an_odometry_of_one_message_leaves_the_motion_to_tf(tmp_path: Path) -> None:
+    one = odometry(T[:1], CIRCLE[:1])
+    found, report = final(log_of(tmp_path / "both.mcap", [*tf(T, CIRCLE), *one]))
+    assert found[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-6)
+    words = "/odom has too few messages to give the motion (1)"
+    assert f"wheels: {words}: not used" in json.dumps(report)
+    assert words in refused("run", log_of(tmp_path / "one.mcap", one), "-o", tmp_path / "out")
+
+
 def test_mounts_come_from_tf_where_nothing_is_static(tmp_path: Path) -> None:
     scan = {"angle_min": -1.5, "angle_increment": 0.1, "range_max": 10.0, "ranges": [2.0] * 30}
     t = np.arange(0.1, DURATION, 0.5)

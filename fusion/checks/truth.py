@@ -298,9 +298,9 @@ def of_few(drive: Drive) -> list[Finding]:
     inside = int(((t >= wheels[0]) & (t <= wheels[-1])).sum())
     if inside >= MIN_READINGS:
         return []
-    if len(t) and not inside:
+    if len(t) >= MIN_READINGS and not inside:
         return [of_error(outside(t, wheels, "truth", drive.truth.time_offset), "truth", FEW)]
-    number = f"{inside} pose{'' if inside == 1 else 's'}"
+    number = f"{len(t)} pose{'' if len(t) == 1 else 's'}{f', {inside} of them' if inside < len(t) else ''}"
     words = f"it has {number} in the {wheels[-1] - wheels[0]:.1f} s of the drive, too few to measure errors"
     hint = f"({MIN_READINGS} are the least; to judge without it: --set {NO_TRUTH})"
     return [Finding("truth", FEW, words, (NO_TRUTH,), True, hint=hint)]

@@ -177,6 +177,12 @@ def test_what_is_too_rare_judges_and_charges_nothing(tmp_path: Path, topic: str,
     assert {v["verdict"] for v in done.report["verdicts"].values()} == {"no verdict"}
 
 
+def test_one_pose_before_the_drive_is_too_few_and_no_other_clock(tmp_path: Path) -> None:
+    said = locfuse("info", recorded(tmp_path, rare(TRUTH, 400), late(TRUTH, -1.0))).stdout
+    assert "truth: it has 1 pose, 0 of them in the 30.4 s of the drive, too few to measure errors" in said
+    assert "truth.time_offset" not in said
+
+
 def test_readings_of_another_year_are_named_with_the_offset_and_not_used(tmp_path: Path) -> None:
     done = reported("compare", recorded(tmp_path, late(SCAN, -1e8)))
     assert "not used: lrf: none of its 183 readings lies within the 30.4 s of the drive" in done.stderr

@@ -305,7 +305,7 @@ def unplaced(overview: Overview) -> list[Finding]:
 
 
 def conflicts(overview: Overview) -> list[Finding]:
-    """Return a finding for each used frame with two different transforms, and one for all such unused frames."""
+    """Return a finding for each used frame with a faulty or second transform, and one for all unused ones."""
     roles = {frame: role for role in overview.choice.topics for frame in overview.frames_of(role)}
     mounts = extrinsics(overview)
     found, others = [], []
@@ -314,14 +314,16 @@ def conflicts(overview: Overview) -> list[Finding]:
         mount = mounts.get(role, {})
         if not role:
             others.append(conflict.frame)
-        elif mount.get("by") in {"/tf_static", "/tf"}:  # fusion.checks.laser tests it by the walls
+        elif (by := mount.get("by", "settings")) != "settings":  # fusion.checks.laser tests it by the walls
             keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
-            wrong = any(o.role == role and o.code == "yaw" for o in overview.findings)
+            wrong = by == "nobody" or any(o.role == role and o.code == "yaw" for o in overview.findings)
             fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)
             found.append(Finding(role, "tf_static", conflict.line, fixes))
     if others:
         listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
-        words = f"{len(others)} frames have two different transforms ({listed}); no used sensor depends on them"
+        words = (
+            f"{len(others)} frames have a faulty or second transform ({listed}); no used sensor depends on them"
+        )
         found.append(Finding("/tf_static", "tf_static", words))
     return found
 

@@ -85,7 +85,10 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
     for topic in columns:
         for parent, child, numbers in _entries(as_lists(topic)):
             values = np.array([numbers])
-            if not (np.isfinite(values).all() and np.linalg.norm(values[0, 3:]) > MIN_QUATERNION):
+            if not values[0, 3:].any() and np.isfinite(values).all():
+                conflicts[Conflict(child, "its quaternion in /tf_static is zeros: read as no rotation")] = None
+                values[0, 6] = 1.0
+            elif not (np.isfinite(values).all() and np.linalg.norm(values[0, 3:]) > MIN_QUATERNION):
                 conflicts[Conflict(child, "a transform without a usable rotation is ignored")] = None
                 continue
             transform = Transform(parent, child, matrices_of(values)[0])

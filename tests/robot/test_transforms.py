@@ -114,12 +114,17 @@ def test_several_publishers_and_their_conflicts_are_told_and_the_last_one_counts
     assert "laser: (0.100, 0.000, 0.000) m" in transforms.conflicts[0].line
 
 
-def test_a_transform_without_a_rotation_is_ignored_and_told(tmp_path: Path) -> None:
-    broken = edge("base_link", "laser")
-    broken["transform"]["rotation"] = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}
-    transforms = published(tmp_path, [broken])
-    assert planar_mount(transforms, BASES, "laser") is None
-    assert transforms.conflicts == (("laser", "a transform without a usable rotation is ignored"),)
+def test_a_quaternion_of_zeros_turns_nothing_and_one_of_nan_is_ignored(tmp_path: Path) -> None:
+    zeros, nan = (edge("base_link", name, (0.1, 0.2, 0)) for name in ("laser", "imu"))
+    zeros["transform"]["rotation"] = dict.fromkeys("xyzw", 0.0)
+    nan["transform"]["rotation"]["w"] = math.nan
+    transforms = published(tmp_path, [zeros, nan])
+    assert mount(transforms, "laser") == FrameMount("base_link", "laser", 0.1, 0.2, 0, 0, 0, 0, False)
+    assert planar_mount(transforms, BASES, "imu") is None
+    assert transforms.conflicts == (
+        ("laser", "its quaternion in /tf_static is zeros: read as no rotation"),
+        ("imu", "a transform without a usable rotation is ignored"),
+    )
 
 
 def test_a_leading_slash_or_a_namespace_does_not_matter_and_the_base_is_mounted_at_zero(tmp_path: Path) -> None:

@@ -43,6 +43,9 @@ SMALL_TYPES = (
 )
 MIN_MESSAGES, MAX_TOPICS = 20, 3
 MIN_REPEATED_SHARE = 0.9  # of the stamps after a step back: a log that was played in a loop
+# of right stamps in the wrong order: least step when sorted, in median steps (a wrong stamp lies between two
+# others, so less than half a step from one); share of the late messages
+MIN_BEAT_SHARE, MIN_LATE_SHARE = 0.6, 0.9
 SAME_CLOCK_NS = 10**9  # topics use one clock if their stamps' offsets from recording differ by less
 
 Others = Callable[[], tuple[Ints, Ints] | None]  # the result of common_clock
@@ -173,6 +176,10 @@ def _settled(log_time: Ints, stamp: Ints | None, order: str) -> RowTimes:
     if (stamp == stamp[0]).all() and log_time[-1] - log_time[0] > MAX_DELAY_S * 1e9:
         words = f"log time (all {len(stamp)} header stamps are the same: let the driver stamp each message)"
         return RowTimes(log_time, None, words)
+    if order == "auto" and (late := _recorded_late(log_time, stamp)):
+        rows = np.argsort(stamp, kind="stable")
+        words = f"header stamps, sorted: {late} of {len(stamp)} messages were recorded after later ones"
+        return RowTimes(stamp[rows], rows, words, by_stamps=True, notes=_differ(log_time, stamp))
     bad = _untrusted(log_time, stamp)
     trusted = ~np.any([*bad.values()], axis=0)
     if order == "recorded":
@@ -182,6 +189,26 @@ def _settled(log_time: Ints, stamp: Ints | None, order: str) -> RowTimes:
     if 2 * trusted.sum() < len(stamp):
         return _recorded(log_time, stamp, trusted, "recording order: most header stamps contradict it")
     return _repaired(log_time, stamp, trusted, bad)
+
+
+def _recorded_late(log_time: Ints, stamp: Ints) -> int:
+    """Return the number of messages with a right stamp that were recorded after later ones; 0 if stamps are wrong.
+
+    Right stamps keep the beat when they are sorted, and a late message has a longer delay than the next in order.
+    """
+    latest = np.maximum.accumulate(stamp)
+    late = np.flatnonzero(stamp < latest)
+    if not len(late) or (latest - stamp).max() > MAX_DELAY_S * 1e9 or stamp.min() <= 0:
+        return 0
+    ordered = np.sort(stamp)
+    steps = np.pad(np.diff(ordered).astype(np.float64), 1, constant_values=np.inf)
+    at = np.searchsorted(ordered, stamp[late])
+    on_beat = np.minimum(steps[at], steps[at + 1]) > MIN_BEAT_SHARE * np.median(steps)
+    in_order = np.flatnonzero(stamp == latest)
+    after = np.searchsorted(in_order, late)  # place in `in_order` of the next message that is not late
+    excess = (log_time - stamp)[late] - np.append(log_time - stamp, 0)[np.append(in_order, -1)[after]]
+    longer = (excess > 0.5 * (latest - stamp)[late]) & (log_time[late] > log_time[late - 1])
+    return len(late) if (on_beat & longer).mean() > MIN_LATE_SHARE else 0
 
 
 def _played_again(log_time: Ints, stamp: Ints) -> str:

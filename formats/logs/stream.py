@@ -151,7 +151,7 @@ class TopicTable:
     def end(self) -> bool:
         """End the pass; return whether messages must be ordered by digests of their bytes.
 
-        They must after the first pass over the topic, if several messages have the same log time.
+        They must after the first pass over the topic, if messages may repeat others.
         """
         collected, self._pass = self._pass, Pass((), 0)
         none = np.empty(0, np.int64)
@@ -167,13 +167,25 @@ class TopicTable:
         self.columns = columns
         self._n = len(log_time)
         self._times = log_time, sequence
-        ordered = log_time if (np.diff(log_time) >= 0).all() else np.sort(log_time)
-        return bool((np.diff(ordered) == 0).any())
+        return len(self.tied()) > 0
+
+    @property
+    def _stamps(self) -> Ints:
+        """Header stamps (n,) [ns] in the order of the columns; zeros without any."""
+        return np.zeros(self._n, np.int64) if self.stamp is None else np.asarray(self.columns[self.stamp])
 
     def tied(self) -> Ints:
-        """Return the log times (k,) [ns] that occur in several messages."""
-        times, counts = np.unique(self._times[0], return_counts=True)
-        return times[counts > 1]
+        """Return the log times (k,) [ns] of messages that may repeat others: equal log times, or equal stamps.
+
+        Equal stamps count only if stamps also run back, as if two publishers send the same.
+        """
+        log_time, stamp = self._times[0], self._stamps
+        ordered = log_time if (np.diff(log_time) >= 0).all() else np.sort(log_time)
+        tied = ordered[1:][np.diff(ordered) == 0]
+        if (np.diff(stamp) < 0).any():
+            stamps, counts = np.unique(stamp[stamp != 0], return_counts=True)
+            tied = np.append(tied, log_time[np.isin(stamp, stamps[counts > 1])])
+        return np.unique(tied)
 
     def sort(self, digests: Ints | None) -> None:
         """Sort the rows by log time, sequence, stamp, digest of the bytes (n,) and file order.
@@ -208,12 +220,16 @@ class TopicTable:
         return row
 
     def _without_repeats(self, order: Ints, keys: tuple[Ints, ...]) -> Ints:
-        """Return `order` without messages recorded twice (equal log time and bytes as an earlier message)."""
+        """Return `order` without messages recorded twice: the bytes and the log time of an earlier message.
+
+        With a header stamp, the log times may differ by less than MAX_DELAY_S.
+        """
         digests, sequence, log_time = keys
-        by_content = np.lexsort((sequence, digests, log_time))
-        same = (np.diff(log_time[by_content]) == 0) & (np.diff(digests[by_content]) == 0)
-        same &= digests[by_content[1:]] != 0
-        repeats = by_content[1:][same]
+        by_content = np.lexsort((sequence, log_time, digests))
+        later = by_content[1:]
+        apart = np.diff(log_time[by_content])
+        same = (apart == 0) | ((apart < MAX_DELAY_S * 1e9) & (self._stamps[later] != 0))
+        repeats = later[same & (np.diff(digests[by_content]) == 0) & (digests[later] != 0)]
         if len(repeats):
             self.bad["repeat"] += len(repeats)
             keep = np.ones(len(order), bool)

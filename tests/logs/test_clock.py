@@ -163,6 +163,24 @@ def test_stamps_of_messages_that_were_recorded_together_are_moved_into_their_ord
     assert "moved into their order" in found.words
 
 
+@pytest.mark.parametrize("wrong", ["recording", "stamps"])
+def test_right_stamps_of_messages_that_were_recorded_late_are_sorted(wrong: str) -> None:
+    """Every 37th message is 150 ms late: in its recording, or by its stamp."""
+    true = T0 + np.arange(400) * 100 * MS
+    late = np.arange(400) % 37 == 20
+    if wrong == "recording":
+        at = true + np.where(late, 153, 3) * MS
+        order = np.argsort(at)
+        found = settle(at[order], true[order])
+        np.testing.assert_array_equal(found.t_ns, true)
+        np.testing.assert_array_equal(order[found.rows], np.arange(400))
+        assert f"{late.sum()} of 400 messages were recorded after later ones" in found.words
+    else:
+        found = settle(true + 3 * MS, true - np.where(late, 150 * MS, 0))
+        assert found.rows is None
+        assert np.abs(found.t_ns - true).max() < 5 * MS
+
+
 def test_moving_stamps_into_their_order_is_isotonic_regression() -> None:
     """By its min-max formula, of stamps that scatter by more than their step and keep no beat to be off."""
     rng = np.random.default_rng(5)

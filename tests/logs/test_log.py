@@ -145,6 +145,19 @@ def test_messages_of_equal_time_are_ordered_by_sequence_by_content_and_without_n
     assert [int(x) % 3 for x in orders[0]] == [0] * 10 + [1] * 10 + [2] * 10
 
 
+def test_messages_of_two_publishers_that_send_the_same_are_one_stream(tmp_path: Path) -> None:
+    """The copy of each is recorded after the next one."""
+    one = [
+        Said("/joints", JOINTS, cdr(JOINTS, header=header(T0 + i * S // 10), position=[i]), T0 + i * S // 10)
+        for i in range(30)
+    ]
+    copies = [said._replace(log_time=said.log_time + S // 8) for said in one]
+    stream = open_log([write(tmp_path / "log.mcap", [*one, *copies])]).stream("/joints")
+    assert rows(stream.columns("position")["position"]) == [[i] for i in range(30)]
+    assert stream.dropped == {"repeat": 30}
+    assert stream.t_ns.tolist() == [said.log_time for said in one]
+
+
 def test_a_message_recorded_twice_is_one_reading_and_one_at_two_times_is_two(tmp_path: Path) -> None:
     said = drive(20)
     log = open_log([write(tmp_path / "log.mcap", [*said, *said[:7]])])

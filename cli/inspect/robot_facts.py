@@ -354,7 +354,7 @@ def values(overview: Overview) -> dict[str, Any]:
         "bytes": overview.log.identity.size,
         "duration_s": (span[1] - span[0]) * 1e-9 if span else None,
         "start_ns": span[0] if span else None,
-        "messages": sum(f.count for f in overview.facts if not f.derived),
+        "messages": overview.log.message_count,
         "checksums": not overview.log.unchecked,
         "topics": {f.topic: f.values() for f in overview.facts},
         "roles": {

@@ -110,7 +110,7 @@ def _headline(overview: Overview) -> str:
     span = overview.log.time_span_ns
     seconds = f"{(span[1] - span[0]) * 1e-9:.1f} s" if span else "no messages"
     recorded = [f for f in overview.facts if not f.derived]
-    count, size = sum(f.count for f in recorded), overview.log.identity.size / 1e6
+    count, size = overview.log.message_count, overview.log.identity.size / 1e6
     megabytes = f"{size:.1f}" if size >= 1.0 else f"{size:.1g}"
     files = f" in {len(overview.log.paths)} files" if len(overview.log.paths) > 1 else ""
     topics = f"{len(recorded)} topic{'' if len(recorded) == 1 else 's'}"
@@ -197,7 +197,7 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
     """Return the next command: `recover`, `init`, `info` with fixes that help, `compare`; or what to record."""
     losses = overview.log.losses
-    if losses.recoverable and losses.messages < sum(f.count for f in overview.facts if not f.derived):
+    if losses.recoverable and losses.messages < overview.log.message_count:
         return [shlex.join(("locfuse", "recover", *map(str, overview.log.given), "-o", "recovered.mcap"))]
     if overview.choice.unused_wheels:  # wheels first: other findings depend on their size
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]

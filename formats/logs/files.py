@@ -224,7 +224,8 @@ class TopicChannels:
     def __init__(self, carriers: Sequence[Carrier]) -> None:
         self.carriers = sorted(carriers, key=lambda carrier: -(carrier.channel.n or 0))
         main = self.carriers[0].channel
-        count = sum(c.channel.n or 0 for c in self.carriers if _same_kind(c.channel, main))
+        self.of_type = [carrier for carrier in self.carriers if _same_kind(carrier.channel, main)]
+        count = sum(carrier.channel.n or 0 for carrier in self.of_type)
         problem = encoding_problem(main)
         self.topic = Topic(message_type(main.msgtype), count, main.encoding, main.schema_encoding, problem)
 
@@ -238,10 +239,8 @@ class TopicChannels:
         """The channels with the type and message structure of the topic, with their decoders."""
         made: dict[ChannelInfo, MessageDecoder] = {}
         found: list[tuple[Carrier, MessageDecoder]] = []
-        for carrier in self.carriers:
+        for carrier in self.of_type:
             key = carrier.channel._replace(n=None)
-            if not _same_kind(carrier.channel, self.carriers[0].channel):
-                continue
             if key not in made:
                 try:
                     made[key] = make_decoder(carrier.channel)

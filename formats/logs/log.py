@@ -147,6 +147,11 @@ class Log:
         return {name: data for source in self._sources for name, data in source.attachments.items()}
 
     @property
+    def message_count(self) -> int:
+        """Number of messages on all topics, readable or not, according to the files."""
+        return sum(one.channel.n or 0 for channels in self._channels.values() for one in channels.carriers)
+
+    @property
     def unchecked(self) -> list[str]:
         """Names of the files without checksums; a changed value in these files cannot be detected."""
         return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not s.checked]
@@ -406,7 +411,7 @@ class Log:
         messages were recorded twice, does not count as a second publisher.
         """
         for source in self._sources:
-            carriers = self._channels[topic].carriers if topic in self._channels else []
+            carriers = self._channels[topic].of_type if topic in self._channels else []
             idents = [carrier.ident for carrier in carriers if carrier.source is source]
             if len(idents) > 1 and (counts := _alternating(source, idents)):
                 return counts

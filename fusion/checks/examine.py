@@ -211,7 +211,9 @@ def _refused(drive: Drive) -> list[Finding]:
 
 def _reasons(counts: Mapping[str, int]) -> str:
     """Return numbers of readings by reason as text: "3 repeat the one before, 1 share the stamp of another"."""
-    return ", ".join(f"{n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in counts.items())
+    return ", ".join(
+        f"{n} {REASONS.get(why, why if '/' in why else why.replace('_', ' '))}" for why, n in counts.items()
+    )
 
 
 def _of_times(name: str, t: Array, drive: Drive) -> list[Finding]:

@@ -405,8 +405,8 @@ def odometry(i: int, x: float) -> bytes:
     return cdr(ODOMETRY, header=header(T0 + i * S // 20, "odom"), pose={"pose": pose})
 
 
-def log(path: Path, writes: list[tuple[int, int, float]]) -> Path:
-    """Messages of /odom as (channel, number, x), at 20 Hz."""
+def log(path: Path, writes: list[tuple[int, int, float]], beside: str = "") -> Path:
+    """Messages of /odom as (channel, number, x), at 20 Hz; with a name `beside`, as many of that type on /odom."""
     with path.open("wb") as file:
         writer: Any = Writer(file)
         writer.start()
@@ -414,6 +414,12 @@ def log(path: Path, writes: list[tuple[int, int, float]]) -> Path:
         idents = [writer.register_channel("/odom", "cdr", schema, {"node": name}) for name in ("a", "b")]
         for channel, i, x in writes:
             writer.add_message(idents[channel], T0 + i * S // 20, odometry(i, x), T0 + i * S // 20, i)
+        if beside:
+            other = writer.register_channel(
+                "/odom", "cdr", writer.register_schema(beside, "ros2msg", b"float64 data")
+            )
+            for _, i, x in writes:
+                writer.add_message(other, T0 + i * S // 20 + 1, cdr(beside, data=x), T0 + i * S // 20 + 1, i)
         writer.finish()
     return path
 
@@ -432,6 +438,14 @@ def test_two_odometries_in_turn_on_one_topic_would_spoil_an_estimate(tmp_path: P
     of_one_channel = as_json(log(tmp_path / "one.mcap", [(0, i, x) for i, x in jumping]))
     (finding,) = [f for f in of_one_channel["findings"] if f["severe"]]
     assert "/odom: its poses jump to and fro between two paths: two publishers" in finding["message"]
+
+
+def test_a_topic_of_two_types_is_read_as_one_and_the_other_is_counted(tmp_path: Path) -> None:
+    said = as_json(log(tmp_path / "two.mcap", [(0, i, 0.05 * i) for i in range(100)], "std_msgs/msg/Float64"))
+    assert said["messages"] == 200
+    words = [f["message"] for f in said["findings"] if f["role"] == "wheels"]
+    assert "readings that are not used: 100 of std_msgs/msg/Float64" in words
+    assert not any("two publishers" in one for one in words)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import Any, cast
 import msgspec
 from msgspec.structs import replace
 
+from locfuse.cli.analysis.choose import may_be_truth
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded, start_error
 from locfuse.cli.analysis.motion_evidence import unjudged
@@ -466,6 +467,8 @@ def complete(report: dict[str, Any], compared: Compared, advised: Advised | None
         if verdict.get("verdict") == "no effect seen":
             verdict.update(verdict="no verdict", words="It gives hardly any measurement.")
     words = f"{headline(report, sets)}{covariance(report, sets)}"
+    if NAME_TRUTH in words and (poses := may_be_truth(loaded.log, loaded.robot, loaded.choice)):
+        words = words.replace(NAME_TRUTH, f"--set truth.topic={poses[0]}, if it holds the true poses")
     if why := unjudged(drive):
         words = f"{why[0].upper()}{why[1:]}."
         withdraw_verdicts(report, "This drive cannot judge a sensor.")

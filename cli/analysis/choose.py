@@ -15,12 +15,12 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Sensor
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
-from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth, read_truth
+from locfuse.fusion.truth import FIX, KNOWN_TRUTH, TRUTH_READS, looks_like_truth, read_truth
 from locfuse.fusion.wheels.motion import path_alike
-from locfuse.fusion.wheels.odometry import SCANS, commanded
+from locfuse.fusion.wheels.odometry import ODOMETRY, SCANS, commanded
 
 from .adapted_topics import not_read, offer_presented, offer_tags
-from .body_topics import by_fixes
+from .body_topics import by_fixes, of_camera
 from .motion_evidence import motion_of
 from .topics import (
     WHY_NAMED,
@@ -39,6 +39,8 @@ from .topics import (
 from .wheel_topics import choose_wheels
 
 TF = "/tf"  # a role of `choose_each`: frames that are topics of landmarks
+# words in the names of topics
+ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
 LEFT_OUT = "none"  # truth.topic: the log's truth is left out
 
 
@@ -219,6 +221,16 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
     if topic is not None:
         why = "by its type" if topic in known else "by its name"
         choice.take("truth", [topic], WHY_NAMED if named else why)
+
+
+def may_be_truth(log: Log, robot: Robot, choice: Choice) -> list[str]:
+    """Return the pose topics that may be ground truth, the likeliest first; [] if a truth is named or chosen."""
+    if "truth" in {*choice.topics, *choice.absent}:
+        return []
+    found = filled(log, *(kind for kind in TRUTH_READS if kind not in {ODOMETRY, FIX}))
+    poses = [t for t in found if not any(word in t.lower() for word in ESTIMATE_WORDS)]
+    poses = [t for t in poses if not (commanded(t, log.topics[t].msgtype) or of_camera(log, t))]
+    return by_motion(log, robot, poses, choice) if len(poses) > 1 else poses
 
 
 def by_motion(log: Log, robot: Robot, topics: Sequence[str], choice: Choice) -> list[str]:

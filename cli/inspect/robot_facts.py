@@ -13,8 +13,7 @@ import msgspec
 import numpy as np
 from msgspec import field
 
-from locfuse.cli.analysis.body_topics import of_camera
-from locfuse.cli.analysis.choose import by_motion
+from locfuse.cli.analysis.choose import may_be_truth
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
 from locfuse.cli.analysis.topics import Choice, Note, filled, types
@@ -26,16 +25,15 @@ from locfuse.fusion.data import BY_SCANS, ODOMETRY as WHEELS, LocfuseError, Ragg
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
-from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
+from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.calibrate import Geometry, geometry_by_motion, geometry_by_odometry
 from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle, nominal, of_truth
-from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
+from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY
 from locfuse.fusion.wheels.read import JOINTS, USUAL_TICKS, joint_names
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .topics import TopicFacts
 
-ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
 MAX_STEERED_MISFIT = 0.02  # largest rms / distance of a good fit
 MIN_MOVEMENT = 0.05  # least movement of a wheel joint in the log, in its unit
 
@@ -245,15 +243,9 @@ def _described(log: Log) -> WheelGeometry | None:
 
 def possible_truth(overview: Overview) -> list[Finding]:
     """Return a finding on pose topics that may be ground truth; the user decides."""
-    log = overview.log
-    if "truth" in {*overview.choice.topics, *overview.choice.absent}:
-        return []
-    found = filled(log, *(kind for kind in TRUTH_READS if kind not in {ODOMETRY, FIX}))
-    poses = [t for t in found if not any(word in t.lower() for word in ESTIMATE_WORDS)]
-    poses = [t for t in poses if not (commanded(t, log.topics[t].msgtype) or of_camera(log, t))]
+    poses = may_be_truth(overview.log, overview.robot, overview.choice)
     if not poses:
         return []
-    poses = by_motion(log, overview.robot, poses, overview.choice) if len(poses) > 1 else poses
     words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"
     return [Finding("truth", "truth?", words, (f"truth.topic={poses[0]}",))]
 

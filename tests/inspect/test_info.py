@@ -275,12 +275,16 @@ def test_settings_that_contradict_are_named_in_one_line(tmp_path: Path, word: st
 
 def test_a_log_in_which_nothing_locates_is_not_sent_to_a_reference(tmp_path: Path) -> None:
     made = Drive()
+    poses = [m._replace(topic="/rig/pose") for m in made.on(TRUTH)]
     for role, topic in (("truth", TRUTH), ("lrf", SCAN), ("compass", COMPASS)):
         made.drop(topic)
         made.tables.pop(role, None)
     done = ok("compare", made.record(tmp_path / "x.mcap"), "-v", "-o", tmp_path / "out", "--write", "json")
     assert "--set truth.topic=/TOPIC" in done.stdout
     assert "--reference" not in done.stdout + done.stderr
+    made.add(poses)  # a topic that may hold it is named
+    done = ok("compare", made.record(tmp_path / "poses.mcap"), "-o", tmp_path / "poses")
+    assert "Try: --set truth.topic=/rig/pose, if it holds the true poses" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -362,19 +362,18 @@ def sweep_of(bearing: Array, t: Array) -> tuple[int, int, float, float]:
     """Return a spinning laser's first beam, direction, time between two beams [s] and time of the first beam [s].
 
     `bearing` [beams] and t (k,) are those of points, t in s, ms, us or ns: of these, the largest unit with which a
-    cloud lasts at most 1 s. The direction is 1 counter-clockwise, else -1. If the points have no times, or do not
-    turn evenly (as of a laser with a pattern), the time between beams is 0, and that of the first is NaN.
+    cloud lasts at most 1 s. The direction is 1 counter-clockwise, else -1. If the points do not turn evenly (as of
+    a laser with a pattern), the time between beams is 0, and that of the first the median; NaN without times.
     """
-    unknown = 0, 1, 0.0, np.nan
     span = float(np.ptp(t)) if len(t) >= MIN_TIMED else 0.0
     if not 0.0 < span < np.inf:  # NaN too
-        return unknown
+        return 0, 1, 0.0, np.nan
     unit = 10.0 ** (-3 * max(0, int(np.ceil(np.log10(span) / 3))))
     order = np.argsort(t, kind="stable")
     since, turned = (t[order] - t[order[0]]) * unit, np.unwrap(bearing[order], period=SLICE_BEAMS)
     rate, begin = np.polyfit(since, turned, 1).tolist()
     if rate == 0.0 or np.median(np.abs(turned - begin - rate * since)) > MAX_UNEVEN_BEAMS:
-        return unknown
+        return 0, 1, 0.0, float(np.median(t)) * unit
     return int(begin // 1) % SLICE_BEAMS, 1 if rate > 0.0 else -1, 1.0 / abs(rate), float(t[order[0]]) * unit
 
 

@@ -137,9 +137,11 @@ def test_beams_of_a_spinning_laser_have_the_times_of_their_points(told: str, way
     assert scan["ranges"][0] == pytest.approx(ranges(0.0, angles), rel=0.01)
 
 
-def test_points_in_a_pattern_give_beams_without_times() -> None:
+def test_points_in_a_pattern_have_the_time_of_their_middle() -> None:
     rng = np.random.default_rng(0)
-    assert sweep_of(rng.uniform(0.0, SLICE_BEAMS, 500), rng.uniform(0.0, 0.1, 500))[2] == 0.0
+    t = rng.uniform(2.0, 2.1, 500)
+    *_, each, begin = sweep_of(rng.uniform(0.0, SLICE_BEAMS, 500), t)
+    assert (each, begin) == (0.0, pytest.approx(2.05, abs=0.01))
 
 
 def test_of_a_picture_of_depth_the_axis_ahead_is_the_third() -> None:

@@ -27,7 +27,8 @@ from locfuse.formats.robot.transforms import (
     path_between,
     quaternions_of,
 )
-from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged, interpolate
+from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Mask, Ragged, interpolate
+from locfuse.fusion.streams import MAX_DELAY_S
 
 from . import clock as clocks
 
@@ -84,13 +85,24 @@ def edges_of(
     found = {}
     for key, at in places.items():
         good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > MAX_STILL_M)
+        stamped, recorded = np.asarray(stamps.values)[at].astype(np.int64), log_time[rows[key]]
+        if (np.diff(stamped) < 0).any():  # two publishers may send the same
+            good &= ~_repeats(recorded, stamped, values[at])
         use = np.array(at)[good]
         if len(use):
-            stamped = np.asarray(stamps.values)[use].astype(np.int64)
-            recorded = log_time[np.array(rows[key])[good]]
+            stamped, recorded = stamped[good], recorded[good]
             clock = clocks.settle(recorded, stamped, order, others)
             found[key] = FrameEdge(*key, clock, recorded, stamped, values[use])
     return found
+
+
+def _repeats(recorded: Ints, stamped: Ints, values: Array) -> Mask:
+    """Return flags (n,) of transforms with the stamp and values (n, 7) of one within MAX_DELAY_S before."""
+    order = np.lexsort((recorded, *values.T, stamped))
+    same = (np.diff(values[order], axis=0) == 0.0).all(axis=1) & (np.diff(stamped[order]) == 0)
+    flags = np.zeros(len(stamped), bool)
+    flags[order[1:]] = same & (np.diff(recorded[order]) < MAX_DELAY_S * 1e9) & (stamped[order[1:]] != 0)
+    return flags
 
 
 def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:

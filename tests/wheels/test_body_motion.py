@@ -73,6 +73,16 @@ def test_an_odometry_that_only_tf_has_gives_what_the_same_odometry_topic_gives(t
     assert 'topic = "/tf:odom:base_link"' in locfuse("init", tmp_path / "tf.mcap").stdout
 
 
+def test_a_transform_that_two_publishers_send_counts_once(tmp_path: Path) -> None:
+    once = tf(T, CIRCLE)
+    copies = [m._replace(log_time=m.log_time + 70_000_000) for m in once]  # after the next one
+    stream = open_log([log_of(tmp_path / "twice.mcap", [*once, *copies])]).stream("/tf:odom:base_link")
+    assert (
+        stream.t_ns.tolist()
+        == open_log([log_of(tmp_path / "x.mcap", once)]).stream("/tf:odom:base_link").t_ns.tolist()
+    )
+
+
 def test_an_odometry_of_one_message_leaves_the_motion_to_tf(tmp_path: Path) -> None:
     one = odometry(T[:1], CIRCLE[:1])
     found, report = final(log_of(tmp_path / "both.mcap", [*tf(T, CIRCLE), *one]))

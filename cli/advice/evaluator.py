@@ -7,7 +7,6 @@ the whole drive.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
@@ -257,7 +256,7 @@ def without_repeated(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list
     """
     now = {key: number(robot, key) for key in keys(kept)}
     new = by_key(kept).items()
-    same = {k for k, v in new if (old := now[k]) is not None and math.isclose(float(v), old, abs_tol=5e-5)}
+    same = {k for k, v in new if (old := now[k]) is not None and abs(float(v) - old) <= 5e-5}
     kept_fixes = [tuple(fix for fix in a.fixes if not keys((fix,)) & same) for a in found]
     return [replace(a, fixes=fixes) for a, fixes in zip(found, kept_fixes, strict=True) if fixes or not a.helps]
 

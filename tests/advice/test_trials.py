@@ -144,3 +144,6 @@ def test_a_clock_that_is_moved_and_moved_back_is_no_advice(last: str, left: list
     kept = (f"camera.time_offset={last}", "lrf.range_scale=0.95")
     found = evaluator.without_repeated([moved, scaled, open_one], kept, make_robot({}))
     assert [(a.finding.role, a.fixes) for a in found] == [*left, ("compass", ())]
+    far = make_robot({"camera": {"time_offset": 1.7e9}})  # another clock: its rest is small beside it
+    late = Advice(moved.finding, ("camera.time_offset=1699999999.9",))
+    assert evaluator.without_repeated([late], late.fixes, far) == [late]

@@ -25,7 +25,7 @@ from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.lrf import Lrf, laser_of
 from locfuse.fusion.sensors.magnetic import FIELD, IMU
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import merged
+from locfuse.fusion.streams import merged, recorded_apart
 from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.motion import Wheels, distances_explained, turns_explained
 from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans
@@ -97,7 +97,7 @@ class MotionEvidence:
 
     def keep(self, candidates: Sequence[Topics]) -> list[Topics]:
         """Return the motions that agree with the scans about as well as the best, or that cannot be judged."""
-        read = {topics: motion_of(self._log, self._robot, topics, self._read) for topics in candidates}
+        read = {topics: self._motion(topics) for topics in candidates}
         known = {topics: motion for topics, motion in read.items() if motion is not None}
         if not known or self._judging([*known.values()]) is None:
             return [*candidates]
@@ -110,12 +110,13 @@ class MotionEvidence:
         """Compare topics of speeds with the scans, only for the notes: scan matching is preferred to them."""
         self._by_scans = True
         for topic in speeds[:MAX_SPEEDS]:
-            motion = motion_of(self._log, self._robot, (topic,), self._read)
+            motion = self._motion((topic,))
             if motion and not motion.wheels.stands and (pairs := self._judging([motion])) is not None:
                 self._rejected[topic,] = f"by {topic}, speeds, {pairs.of(motion):.0%}"
 
     def behind(self, topics: Topics, motion: WheelReading) -> str:
         """Return a note if scan matching fits the laser clearly better than the chosen motion, else ""."""
+        motion = self._on_laser_clock(topics, motion)
         if (pairs := self._judging([motion])) is None:
             return ""
         share = pairs.of(motion)
@@ -142,6 +143,16 @@ class MotionEvidence:
             f"{'; '.join(self._rejected.values())} of a scan's points lie within 10 cm of the scan a second "
             f"before ({self._matched:.0%} by matching the scans, {self._pairs.still:.0%} if the robot stood)"
         )
+
+    def _motion(self, topics: Topics) -> WheelReading | None:
+        motion = motion_of(self._log, self._robot, topics, self._read)
+        return None if motion is None else self._on_laser_clock(topics, motion)
+
+    def _on_laser_clock(self, topics: Topics, motion: WheelReading) -> WheelReading:
+        """Return a motion on the laser's clock, if that is another one by recording times."""
+        own, laser = (self._log.stream(topic, self._robot.order) for topic in (topics[0], self._topic))
+        apart = recorded_apart(own, laser) or 0.0
+        return motion._replace(epoch_ns=motion.epoch_ns + round(apart * 1e9))
 
     def _agrees(self, topics: Topics, motion: WheelReading) -> bool:
         assert self._pairs is not None

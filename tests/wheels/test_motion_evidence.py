@@ -106,6 +106,11 @@ def seen(poses: Array = TRUTH, t: Array = T) -> list[Said]:
     return scans_of(t, poses)
 
 
+def of_other_clock() -> list[Said]:
+    """Scans whose stamps are not of the clock that the recording and the odometry have."""
+    return [m._replace(log_time=ns) for m, ns in zip(scans_of(T - 1e6, TRUTH), stamps(T), strict=True)]
+
+
 def frozen() -> list[Said]:
     """The first scan again and again."""
     return [seen()[0]._replace(log_time=ns) for ns in stamps(T)]
@@ -119,6 +124,7 @@ POSES = {"/marker/pose": "camera_link", "/setpoint": "map", "/slam/pose": "map"}
 Case = tuple[Callable[[], list[list[Said]]], str, tuple[str, ...] | None]
 BY_SCANS: dict[str, Case] = {  # messages, the topic that is taken, and words of the only note; None: of any number
     "it agrees": (lambda: [odometry(T, TRUTH), seen()], "/odom", ()),
+    "a laser with a clock of its own": (lambda: [odometry(T, TRUTH), of_other_clock()], "/odom", ()),
     "a mirror image: the laser hangs": (lambda: [odometry(T, TRUTH * (1.0, -1.0, -1.0)), seen()], "/odom", None),
     "another motion": (
         lambda: [odometry(T, OTHER_WAY), seen()],

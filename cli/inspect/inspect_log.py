@@ -145,6 +145,8 @@ def _measure(overview: Overview, progress: Progress) -> None:
     found, known = examined(part), {f.role for f in overview.findings if f.severe}
     if loaded.motion_faults or short:  # such a drive cannot show faults of sensors
         found = [f for f in found if f.code in {"repaired", "refused", "gap", BLIND, *MIXED}]
+    if loaded.drive.dropped.get("wheels", {}).get("other_joints"):  # an arm, say, publishes on the same topic
+        overview.findings = [f for f in overview.findings if (f.role, f.code) != ("wheels", PUBLISHERS)]
     by_channels = {f.role for f in overview.findings if f.code == PUBLISHERS}
     found = [f for f in found if f.code != PUBLISHERS or f.role not in by_channels]
     overview.findings += [f for f in found if f.code != FEW and (f.code != START or not part.how.begin)]

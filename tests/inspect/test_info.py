@@ -452,6 +452,23 @@ def test_a_topic_of_two_types_is_read_as_one_and_the_other_is_counted(tmp_path: 
     assert not any("two publishers" in one for one in words)
 
 
+def test_an_arm_that_publishes_on_the_topic_of_the_wheels_is_no_second_publisher_of_them(tmp_path: Path) -> None:
+    joints = "sensor_msgs/msg/JointState"
+    with (tmp_path / "x.mcap").open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        schema = writer.register_schema(joints, "ros2msg", definition(joints))
+        base, arm = (writer.register_channel("/joint_states", "cdr", schema, {"node": name}) for name in "ab")
+        for i in range(400):
+            names = ["arm_joint"] if i % 2 else ["left_wheel_joint", "right_wheel_joint"]
+            data = cdr(joints, header=header(T0 + i * S // 40), name=names, position=[0.1 * i] * len(names))
+            writer.add_message(arm if i % 2 else base, T0 + i * S // 40, data, T0 + i * S // 40)
+        writer.finish()
+    said = locfuse("info", tmp_path / "x.mcap", "--set", "wheels.radius=0.05", "--set", "wheels.track=0.3").stdout
+    assert "200 of 400 messages are of other joints" in said
+    assert "two publishers" not in said
+
+
 @pytest.mark.parametrize(
     "channels",
     [lambda i: [int(i >= 50)], lambda i: [0, 1], lambda i: [0]],

@@ -44,7 +44,7 @@ from locfuse.fusion.checks.steering import ZERO
 from locfuse.fusion.checks.tracked_point import AHEAD, CREEP, POINT, YAW, of_point, swing
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, by_key, keys, together
 from locfuse.fusion.checks.truth import AXES, COPY, MOVED, OTHER, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
-from locfuse.fusion.checks.turning import MIRROR, RATIO, SWAPPED, turnings
+from locfuse.fusion.checks.turning import MIRROR, RATIO, SURE_RATIO, SWAPPED, turnings
 from locfuse.fusion.data import BASES, LASER
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
 from locfuse.fusion.judge.innovations import compare_readings
@@ -313,7 +313,7 @@ class Evidence(NoiseFindings):
     def _seen(self, finding: Finding) -> Candidate:
         """Return the candidate for a finding of `doctor`, with variants of its fix."""
         measured = finding.code in MEASURED and (finding.severe or finding.code != OFFSET)
-        proven = finding.code == RATIO and finding.severe
+        proven = finding.code == SURE_RATIO
         measured = measured or proven or (finding.code == AHEAD and self._sits_as_far_back(finding))
         ways = [finding.fixes] if finding.fixes else []
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:

@@ -34,7 +34,7 @@ MIN_ASIDE = 0.7  # least sine of a laser's yaw that shows whether the laser or t
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S, MIN_WINDOWS = 1.0, 20  # s over which turns are compared; their least number
 RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is compared; parts of the jackknife
-RATIO = "ratio"  # code of the finding on wheels of different size
+RATIO, SURE_RATIO = "ratio", "sure ratio"  # codes of the finding on wheels of different size: by one, by several
 RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the ratio: reported, tried
 SEVERE_RATIO_ERROR = 0.03
 AGREED_SIGMAS = 2.0  # standard errors of a second sensor's ratio that confirms the first one's
@@ -362,13 +362,14 @@ def of_ratio(drive: Drive, robot: Robot, by_sensor: Turnings, least: Least | Non
     if off < least.error + least.sigmas * sigma:
         return []
     agreed = any((other - 1.0) * math.copysign(1.0, ratio - 1.0) > AGREED_SIGMAS * s for _, (other, s) in others)
-    severe = agreed or off > SEVERE_RATIO_ERROR + RATIO_ERRORS[0].sigmas * sigma
+    severe = off > SEVERE_RATIO_ERROR + RATIO_ERRORS[0].sigmas * sigma
     ratio *= wheels.ratio
     words = (
         f"by the headings of {source_words(name)} the right wheel's radius is {ratio:.3f} times the left one's (1 "
         f"sigma {sigma:.3f}), configured {wheels.ratio:g}"
     )
-    return [Finding("wheels", RATIO, words, (f"wheels.ratio={ratio:.4g}",), severe)]
+    code = SURE_RATIO if agreed else RATIO
+    return [Finding("wheels", code, words, (f"wheels.ratio={ratio:.4g}",), severe)]
 
 
 def _ratio(known: Headings, offset: float, wheels: Wheels, biased: bool) -> tuple[float, float] | None:

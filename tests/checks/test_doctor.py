@@ -38,7 +38,16 @@ from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.start import start_pose
 from locfuse.fusion.checks.tracked_point import swing_by_positions
 from locfuse.fusion.checks.truth import JUMP, SIZE, STEP, UNIT, of_axes, of_size, of_truth, of_unit
-from locfuse.fusion.checks.turning import Headings, and_truth, explain, of_ratio, of_track, turnings
+from locfuse.fusion.checks.turning import (
+    RATIO,
+    SURE_RATIO,
+    Headings,
+    and_truth,
+    explain,
+    of_ratio,
+    of_track,
+    turnings,
+)
 from locfuse.fusion.data import Array, ArrayStream, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.se2 import rotation_3d
@@ -239,7 +248,7 @@ def test_two_sensors_that_agree_make_a_small_difference_of_the_wheels_sure() -> 
     shown = turnings(larger)
     several = [{name: shown[name] for name in names} for names in (("compass", "lrf"), ("compass",))]
     found = [f for some in several for f in of_ratio(larger, robot(), some, Least(0.005, 2.0))]
-    assert [f.severe for f in found] == [True, False]
+    assert [f.code for f in found] == [SURE_RATIO, RATIO]
 
 
 @pytest.mark.parametrize("even", [True, False])

@@ -82,6 +82,7 @@ KEYLESS = {
     SATURATED,
     HELD,
     CARRIED,
+    STEP,
     ZERO,
 }  # findings that are named although no setting fixes them
 BY_SHAPE = {("wheels", SWAPPED), ("wheels", "mirrored"), ("wheels", AHEAD)}  # judged after alignment
@@ -110,7 +111,7 @@ class Evidence(NoiseFindings):
             or self._spins
             or scales(drive, robot, turnings(drive), least=SUSPICIOUS_SCALE)
             or self._walls_bend
-            or any(f.severe or f.code in {CARRIED, AHEAD} for f in self.doctor)
+            or any(f.severe or f.code in {CARRIED, AHEAD, STEP} for f in self.doctor)
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:

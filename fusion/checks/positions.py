@@ -27,7 +27,7 @@ from locfuse.fusion.wheels.motion import PART_S
 
 from .finding import Finding, Least
 from .tracked_point import axle_path
-from .truth import FIXES, white_sigma
+from .truth import FIXES, STEP, steps_aside, white_sigma
 
 GPS, POSE, ANTENNA = "gps", "pose", "antenna"  # sensors; code of the finding on the antenna
 EAST, PATH = "east", "path"  # codes of the findings on the direction of east, on a mirrored or scaled path
@@ -106,7 +106,15 @@ def of_positions(drive: Drive, robot: Robot) -> list[Finding]:
     found = [f for sensor, fit in fits.items() for f in _of_path(drive, sensor, fit)]
     if not found and POSE in fits:
         found = _of_body(fits[POSE], robot)
-    return [*found, *_of_speeds(drive)]
+    return [*found, *_of_steps(drive), *_of_speeds(drive)]
+
+
+def _of_steps(drive: Drive) -> list[Finding]:
+    """Return a finding if fixes step aside a few times, as after a loss of the carrier phase (RTK float)."""
+    m = drive.measurements.get(GPS)
+    where = "" if m is None else steps_aside(Truth(FIXES, m.t, m.z, None), drive)
+    words = f"its fixes step aside by {where}, while the robot rolls on, as with reflections or RTK float"
+    return [Finding(GPS, STEP, words)] if where else []
 
 
 def _of_path(drive: Drive, sensor: str, fit: FrameFit) -> list[Finding]:

@@ -158,19 +158,22 @@ def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[Mask, bytes]:
     return same, before
 
 
-def frozen(same: Mask, t: Array, wheels: WheelMotion) -> Mask:
+def frozen(
+    same: Mask, t: Array, wheels: WheelMotion, least_m: float = 0.0, turned_rad: float = MIN_TURNED_RAD
+) -> Mask:
     """Return flags (n,) of the scans that are copies of an earlier scan although the robot has moved since then.
 
     t (n,) [s] are their times, `same` (n,) flags of scans equal to the scan before. A noise-free simulated laser
-    gives equal scans at standstill, so drift of the odometry at standstill does not count as motion.
+    gives equal scans at standstill, so drift of the odometry at standstill does not count as motion. Nor does a
+    way of `least_m`, or a turn of `turned_rad`, that the sensor does not resolve.
     """
     first = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))  # first of consecutive equal scans
     at = np.flatnonzero(same)
     if not len(at):
         return same
     u, dt = wheels.relative(t[first[at]], t[at]), t[at] - t[first[at]]
-    moved = np.hypot(u[:, 0], u[:, 1]) > MIN_MOVED_M + STANDING_MPS * dt
-    moved |= np.abs(u[:, 2]) > MIN_TURNED_RAD + STANDING_RADPS * dt
+    moved = np.hypot(u[:, 0], u[:, 1]) > MIN_MOVED_M + least_m + STANDING_MPS * dt
+    moved |= np.abs(u[:, 2]) > turned_rad + STANDING_RADPS * dt
     return same & np.isin(first, first[at[moved]])
 
 

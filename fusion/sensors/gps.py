@@ -22,6 +22,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.geodesy import on_map
 from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.lines.scans import frozen
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import (
     NO_BLOCK,
@@ -46,6 +47,7 @@ MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # 1 sigma, below which the directi
 UNIT_LENGTH_SIGMA = 1e-4  # standard deviation of the constraint |(a, b)| = 1
 OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers also publish these fixes as NavSatFix
 MIN_SIGMA_M = 1e-3  # m, of a standard deviation
+DEGREE_M, MAX_DIGIT_STEPS = 111_320.0, 2.0  # m per degree at the equator; steps of the last digit on one fix
 
 Tie = tuple[float, float, float, float]
 Geographic = tuple[float, float]
@@ -94,14 +96,17 @@ class Gps(Sensor):
         columns = arrays(stream, *self.reads[stream.msgtype])
         where = np.column_stack((columns["latitude"], columns["longitude"])).astype(np.float64)
         dropped = dict(stream.dropped)
+        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         good = _usable(where, columns.get("status.status"), dropped)
         if not good.any():
             reasons = ", ".join(f"{n} {why.replace('_', ' ')}" for why, n in dropped.items())
             words = f"{stream.topic} has no fix in {len(good)} messages ({reasons or 'none'})"
             raise LocfuseError(words, role="gps")
+        held = _held(where[good], t[good], wheels)
+        count_dropped(dropped, repeat=held)
+        good[good] = ~held
         where = where[good]
         n = len(where)
-        t = seconds(stream.t_ns, epoch_ns, settings.time_offset)
         return Measurements(
             t=t[good],
             first=np.arange(n + 1),
@@ -132,6 +137,15 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
     real: NDArray[np.bool_] = fixed & (np.abs(where[:, 0]) <= 90.0) & (where != 0.0).any(axis=1)
     count_dropped(dropped, not_finite=~finite, no_fix=finite & ~fixed, nowhere=fixed & ~real)
     return real
+
+
+def _held(where: Array, t: Array, wheels: WheelMotion) -> NDArray[np.bool_]:
+    """Return which fixes (n, 2) [deg] at times t (n,) [s] repeat the last one while the robot drives on."""
+    steps = np.abs(np.diff(where, axis=0))
+    # fixes with few digits repeat too, within a step of these digits
+    digits = np.where(steps > 0.0, steps, np.inf).min(axis=0, initial=np.inf)
+    coarse = MAX_DIGIT_STEPS * DEGREE_M * math.hypot(*np.where(np.isfinite(digits), digits, 0.0))
+    return frozen(np.append(False, ~steps.any(axis=1)), t, wheels, coarse, math.inf)
 
 
 def _covariance(columns: Mapping[str, Any], settings: GpsSettings) -> Array:

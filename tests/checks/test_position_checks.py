@@ -150,6 +150,16 @@ def test_fixes_that_scatter_more_than_claimed_are_named_without_truth() -> None:
     assert of_claims(replace(one, truth=None, measurements={"gps": drifts}), tight) == []
 
 
+def test_fixes_that_step_aside_for_a_while_are_named() -> None:
+    one, settings = seen("gps")
+    m = one.measurements["gps"]
+    aside = m.z + np.where((m.t > 20.0) & (m.t < 30.0), 0.6, 0.0)[:, None]
+    one = replace(one, truth=None, measurements={"gps": replace(m, z=aside)})
+    (found,) = of_positions(one, settings)
+    assert "its fixes step aside by 0.8" in found.message
+    assert "at 20.0 s" in found.message or "at 20.2 s" in found.message
+
+
 def test_fixes_show_the_scale_of_the_wheels_without_truth() -> None:
     for times, sigma in ((1.1, 0.01), (1.0, 0.01), (1.0, 0.5)):  # errors of fixes make steps longer
         one, settings = seen("gps", (0.3, -0.2, 0.0), times=times, sigma=sigma)

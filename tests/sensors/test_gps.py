@@ -185,7 +185,7 @@ def test_a_receiver_that_says_nothing_of_its_accuracy_is_given_sigma() -> None:
 STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)
 
 
-def measured(columns: dict[str, Any], n: int = 4, **settings: Any) -> Measurements:
+def measured(columns: dict[str, Any], n: int = 4, wheels: Wheels = STILL, **settings: Any) -> Measurements:
     given: dict[str, Any] = {
         "status.status": np.zeros(n, np.int8),
         "latitude": np.full(n, ORIGIN[0]),
@@ -195,7 +195,7 @@ def measured(columns: dict[str, Any], n: int = 4, **settings: Any) -> Measuremen
         **columns,
     }
     stream = ArrayStream("/fix", "sensor_msgs/msg/NavSatFix", T0 + np.arange(n) * 10**9, given)
-    return Gps().measure(stream, GpsSettings(**settings), STILL, T0)
+    return Gps().measure(stream, GpsSettings(**settings), wheels, T0)
 
 
 def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:
@@ -210,6 +210,19 @@ def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:
     np.testing.assert_allclose(R[0], [[4.0, 1.1], [1.1, 9.0]])
     np.testing.assert_allclose(R[1:5], np.tile(2.5**2 * np.eye(2), (4, 1, 1)))
     np.testing.assert_allclose(R[5], np.diag([0.002**2, 0.003**2]))
+
+
+def test_a_receiver_that_repeats_its_fix_while_the_robot_drives_is_not_believed() -> None:
+    north = ORIGIN[0] + np.arange(20) / 111_000.0  # a metre a second
+    held = np.where((np.arange(20) > 5) & (np.arange(20) < 15), north[5], north)
+    rolling = Wheels.from_wheels(*np.array([[0.0, 100.0]] * 3), 0.5, 1e-4)
+    for wheels, latitude, unused in (
+        (rolling, held, {"repeat": 9}),
+        (rolling, north, {}),
+        (rolling, np.floor(north * 3e4) / 3e4, {}),  # in steps of 4 m
+        (STILL, held, {}),
+    ):
+        assert measured({"latitude": latitude}, 20, wheels).dropped == unused
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     left: str | None = None  # joint name
     right: str | None = None  # joint name
     radius: float | None = None  # m, mean of both wheels
-    ratio: float = 1.0  # radius of the right wheel / radius of the left wheel
+    ratio: float = 1.0  # radius of the right wheel / radius of the left wheel; of an odometry: a turn per metre
     track: float | None = None  # m between the wheels' contact points
     scale: Scale = 1.0  # distance of the robot / distance by an odometry topic
     turn_scale: TurnScale = 1.0  # turn of the robot / turn by an odometry topic; below 0: its y points right too

@@ -346,10 +346,12 @@ def of_track(
 def of_ratio(drive: Drive, robot: Robot, by_sensor: Turnings, least: Least | None = None) -> list[Finding]:
     """Return a finding if headings drift with the distance, by truth or a sensor: one wheel is larger.
 
-    `by_sensor` may have a fit of the truth.
+    `by_sensor` may have a fit of the truth. An odometry has two virtual wheels.
     """
     wheels, truth = robot.wheels, drive.truth
-    if wheels.radius is None or wheels.track is None or wheels.estimate or wheels.is_of_driver:
+    if wheels.estimate or drive.wheels.matched is not None:
+        return []
+    if not wheels.is_of_driver and (wheels.radius is None or wheels.track is None):
         return []
     known = headings_of(drive) | _of_truth(drive)
     names = [name for name in by_sensor if name in known]
@@ -363,11 +365,18 @@ def of_ratio(drive: Drive, robot: Robot, by_sensor: Turnings, least: Least | Non
         return []
     agreed = any((other - 1.0) * math.copysign(1.0, ratio - 1.0) > AGREED_SIGMAS * s for _, (other, s) in others)
     severe = off > SEVERE_RATIO_ERROR + RATIO_ERRORS[0].sigmas * sigma
+    drift, drift_sigma = np.degrees(np.array([1.0 - ratio, sigma]) / drive.wheels.track).tolist()
     ratio *= wheels.ratio
     words = (
         f"by the headings of {source_words(name)} the right wheel's radius is {ratio:.3f} times the left one's (1 "
         f"sigma {sigma:.3f}), configured {wheels.ratio:g}"
     )
+    if wheels.is_of_driver:
+        side = "left" if drift > 0.0 else "right"
+        words = (
+            f"by {source_words(name)} they turn {abs(drift):.1f}° per metre too far to the {side} (1 sigma "
+            f"{drift_sigma:.1g}°), as with a flat tyre or an offset of the steering"
+        )
     code = SURE_RATIO if agreed else RATIO
     return [Finding("wheels", code, words, (f"wheels.ratio={ratio:.4g}",), severe)]
 

@@ -327,6 +327,9 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
     """Read the wheel motion of a stream. Raises LocfuseError if readings or geometry are insufficient."""
     if stream.msgtype == odometry.SCANS:
         raise LocfuseError(f"{stream.topic} holds scans, whose motion has to be matched first", role="wheels")
+    if settings.ratio <= 0.0:
+        words = f"ratio {settings.ratio:g} must be positive: right radius over left radius"
+        raise LocfuseError(words, role="wheels")
     if stream.msgtype in odometry.BODY_READS:
         posed = odometry.has_pose(stream.msgtype, settings)
         commands = not posed and odometry.commanded(stream.topic, stream.msgtype)
@@ -390,10 +393,6 @@ def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
     if min(radius, track) < MIN_LENGTH_M:
         words = f"radius {radius:g} m and track {track:g} m must both be at least {MIN_LENGTH_M:g} m"
         raise LocfuseError(words, role="wheels")
-    if settings.ratio <= 0.0:
-        raise LocfuseError(
-            f"ratio {settings.ratio:g} must be positive: right radius over left radius", role="wheels"
-        )
     if settings.ticks_per_revolution is None and counts_ticks(stream.msgtype):
         usual = USUAL_TICKS.get(stream.msgtype)
         fix = f"wheels.ticks_per_revolution={usual or '<ticks>'}"
@@ -416,8 +415,8 @@ def _from_body(
 ) -> WheelReading:
     """Read the body's motion from values (n, 5): x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s].
 
-    Without a configured track, VIRTUAL_TRACK is used; it affects only the noise. `posed` is whether the messages
-    have poses, `commands` whether the speeds are commands.
+    Without a configured track, VIRTUAL_TRACK is used; it affects the noise, and the turns by wheels.ratio. `posed`
+    is whether the messages have poses, `commands` whether the speeds are commands.
     """
     if abs(settings.turn_scale) < MIN_SCALE:
         raise LocfuseError(f"turn_scale must be at least {MIN_SCALE:g} or at most -{MIN_SCALE:g}", role="wheels")
@@ -446,6 +445,8 @@ def _from_body(
         place = f"({settings.x:.3g}, {settings.y:.3g}) m on the base, at {settings.yaw_deg:.1f}°"
         notes = (*notes, f"its poses are of a body at {place} (wheels.x, wheels.y, wheels.yaw_deg)")
     twist = odometry.on_base(twist * settings.scales, settings.x, settings.y)
-    wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
+    (left, right), track = settings.shares, settings.track or VIRTUAL_TRACK
+    twist[:, 2] += twist[:, 0] * (right - left) / track
+    wheels = Wheels.from_twists(t - t[0], twist, track, settings.noise)
     epoch_ns = int(stream.t_ns[keep[0]]) + round((float(t[0]) + settings.time_offset) * 1e9)
     return WheelReading(wheels, epoch_ns, dropped, notes, doubt)

@@ -49,7 +49,7 @@ from locfuse.fusion.checks.turning import (
     turnings,
 )
 from locfuse.fusion.data import Array, ArrayStream, Drive, LocfuseError, Measurements, Truth, UsageError
-from locfuse.fusion.robot import StartSettings
+from locfuse.fusion.robot import StartSettings, WheelSettings
 from locfuse.fusion.se2 import rotation_3d
 from locfuse.fusion.sensors.gyro import GyroSettings
 from locfuse.fusion.truth import elsewhere
@@ -240,6 +240,12 @@ def test_a_larger_wheel_is_named_by_headings(by: str) -> None:
     assert of_ratio(right, robot(), turnings(right)) == []
     states = replace(robot(), wheels=replace(robot().wheels, estimate=True))
     assert of_ratio(larger, states, shown) == []
+    # odometry by these wheels: in a metre the right one is said to roll 0.06 / 0.97 m less, at a track of 0.6 m
+    driver = replace(states, wheels=WheelSettings())
+    (found,) = of_ratio(larger, driver, and_truth(larger, {by: shown[by]} if by in shown else {}))
+    degrees, _, side = found.message.partition(" they turn ")[2].partition("°")
+    assert float(degrees) == pytest.approx(math.degrees(0.06 / 0.97 / 0.6), rel=0.2)
+    assert side.startswith(" per metre too far to the right")
 
 
 def test_two_sensors_that_agree_make_a_small_difference_of_the_wheels_sure() -> None:

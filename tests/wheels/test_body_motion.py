@@ -181,6 +181,16 @@ def test_an_odometry_of_another_scale_is_corrected_by_two_factors() -> None:
         assert read_wheels(stream, scales).wheels.pose[-1] == pytest.approx(CIRCLE[-1], abs=1e-3)
 
 
+def test_an_odometry_that_turns_to_one_side_is_corrected_by_the_ratio_of_two_wheels() -> None:
+    """They turn 0.1 rad per metre too far to the left: of two wheels 0.3 m apart, the left one is 3 % larger."""
+    t_ns, wrong = np.rint(T * 1e9).astype(np.int64), reckoned(np.diff(T)[:, None] * [SPEED, RATE + 0.1 * SPEED])
+    for settings in (WheelSettings(ratio=0.985 / 1.015), WheelSettings(ratio=0.97 / 1.03, track=0.6)):
+        found = read_wheels(odometry_stream(t_ns, wrong), settings).wheels
+        assert found.pose[-1] == pytest.approx(CIRCLE[-1], abs=1e-3)
+    with pytest.raises(LocfuseError, match="must be positive"):
+        read_wheels(odometry_stream(t_ns, wrong), WheelSettings(ratio=0.0))
+
+
 def test_an_odometry_in_ned_is_mirrored_by_a_negative_scale_of_its_turns() -> None:
     """Poses with y to the right and headings clockwise, of a body 0.2 m ahead on the same circle."""
     x, y, theta = (CIRCLE + 0.2 * np.column_stack((np.cos(CIRCLE[:, 2]), np.sin(CIRCLE[:, 2]), 0.0 * T))).T

@@ -44,7 +44,7 @@ from locfuse.fusion.checks.steering import ZERO
 from locfuse.fusion.checks.tracked_point import AHEAD, CREEP, POINT, YAW, of_point, swing
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, by_key, keys, together
 from locfuse.fusion.checks.truth import AXES, COPY, MOVED, OTHER, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
-from locfuse.fusion.checks.turning import MIRROR, RATIO, SURE_RATIO, SWAPPED, turnings
+from locfuse.fusion.checks.turning import MIRROR, RATIO, SURE_RATIO, SWAPPED, exchanged, turnings
 from locfuse.fusion.data import BASES, LASER
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
 from locfuse.fusion.judge.innovations import compare_readings
@@ -122,7 +122,7 @@ class Evidence(NoiseFindings):
         """
         return (
             (self.truth,),
-            (self.start, self.clocks, self.other_clocks, self.geometry, self.start_at_last),
+            (self.start, self.sense, self.clocks, self.other_clocks, self.geometry, self.start_at_last),
             (
                 self.offsets,
                 self.claims,
@@ -191,6 +191,15 @@ class Evidence(NoiseFindings):
     def start_at_last(self) -> list[Candidate]:
         """Return the finding on a start that only the laser's whole path shows, on clocks and points set right."""
         return [self._start(f, (f.fixes,)) for f in self._start_by_path]
+
+    def sense(self) -> list[Candidate]:
+        """Return the finding on wheels that turn the wrong way, by a trial, if no sensor measures turns."""
+        drive, robot = self.loaded.drive, self.loaded.robot
+        by = [s for s in drive.measurements if REGISTRY[s].locates and self._verdict(s) not in UNREMARKABLE]
+        if not by or drive.truth is not None or turnings(drive):
+            return []
+        finding = exchanged(drive, robot, {}, by, self.loaded.stream("wheels"))
+        return [self._candidate(finding, (finding.fixes,), True)]
 
     @cached_property
     def _lags(self) -> dict[tuple[str, str], Lag]:

@@ -183,10 +183,10 @@ def of_turning(drive: Drive, robot: Robot, by_sensor: Turnings, streams: Mapping
         return []
     back = _against(by_sensor)
     if len(back) > 1 and len(back) == len(by_sensor):
-        return [_exchanged(drive, robot, by_sensor, back, streams["wheels"])]
+        return [exchanged(drive, robot, by_sensor, back, streams["wheels"])]
     found = [_reversed(name, robot, streams) for name in back]
     if len(by_sensor) == len(found) == 1 and drive.truth is None:
-        other = _exchanged(drive, robot, by_sensor, back, streams["wheels"])
+        other = exchanged(drive, robot, by_sensor, back, streams["wheels"])
         if not counts_wheels and back == ["lrf"] and _fits_as_mounted(drive, robot, by_sensor):
             return [other]
         rival = " and ".join(_swapped(robot.wheels, streams["wheels"]) if counts_wheels else other.fixes)
@@ -216,7 +216,7 @@ def _against(by_sensor: Turnings) -> list[str]:
     return [name for name, t in by_sensor.items() if t.a < 0.0 < t.b]
 
 
-def _exchanged(drive: Drive, robot: Robot, by_sensor: Turnings, others: Sequence[str], stream: Stream) -> Finding:
+def exchanged(drive: Drive, robot: Robot, by_sensor: Turnings, others: Sequence[str], stream: Stream) -> Finding:
     """Return the finding on wheels that turn opposite to `others`: swapped, or both counting backward."""
     words = f"the wheels turn against {' and '.join(others)}"
     if stream.msgtype in BODY_READS:
@@ -537,9 +537,9 @@ def _against_the_truth(
     others = {name: t for name, t in by_sensor.items() if not (matched and name == "lrf")}
     back = _against(others)
     if back and len(back) == len(others) and not matched:
-        return [_exchanged(drive, robot, by_sensor, (*back, "the truth"), stream)]
+        return [exchanged(drive, robot, by_sensor, (*back, "the truth"), stream)]
     if not others and stream.msgtype not in BODY_READS:
-        found = _exchanged(drive, robot, by_sensor, ("the truth",), stream)
+        found = exchanged(drive, robot, by_sensor, ("the truth",), stream)
         return [replace(found, message=f"{found.message}, or the truth is a mirror image")]
     words = "it is a mirror image of the drive: one of its axes points the other way"
     if matched:

@@ -101,6 +101,28 @@ def test_a_track_too_little_off_to_be_reported_untried_is_found_without_truth(ha
     assert float(value) == pytest.approx(0.6, abs=0.01)
 
 
+@pytest.mark.parametrize("by", ["ranges", "camera"])
+@pytest.mark.parametrize("swapped", [True, False])
+def test_swapped_wheels_are_found_if_no_sensor_measures_turns(tmp_path: Path, by: str, swapped: bool) -> None:
+    unread = {"/scan", "/compass", "/omni/image/compressed" if by == "ranges" else ""}
+    lap = rewritten(tmp_path / "log.mcap", keep=lambda topic, t: t < 30.0 and topic not in unread)
+    truth = load(lap).drive.truth
+    assert truth is not None
+    anchors, rng = {7: (0.0, 0.0), 8: (6.0, 0.0), 9: (0.0, 5.0)}, np.random.default_rng(1)
+    rows = [
+        f"{1.7e9 + t:.3f},{one},{np.hypot(*(xy - anchors[one])) + 0.05 * rng.normal():.3f}"
+        for t, xy in zip(truth.t[5::10], truth.xy[5::10], strict=True)
+        for one in anchors
+    ]
+    (tmp_path / "ranges.csv").write_text("\n".join(("t,id,range", *rows)))
+    (tmp_path / "map.csv").write_text("id,x,y\n" + "\n".join(f"{i},{x},{y}" for i, (x, y) in anchors.items()))
+    sets = [f"ranges.topic={tmp_path / 'ranges.csv'}", f"ranges.map={tmp_path / 'map.csv'}"] * (by == "ranges")
+    sides = ("wheels.left=right_wheel_joint", "wheels.right=left_wheel_joint") if swapped else ()
+    found = load(lap, sets=("truth.topic=none", *sets, *sides)).findings()
+    right = ["wheels.left=left_wheel_joint", "wheels.right=right_wheel_joint"] if swapped else []
+    assert [fix for fix in found["fixes"] if fix.startswith("wheels.")] == right
+
+
 @pytest.mark.parametrize(("camera", "left_open"), [(False, True), (True, False)])
 def test_a_compass_that_contradicts_the_start_is_left_open_where_nothing_locates(
     half: Path, tmp_path: Path, camera: bool, left_open: bool

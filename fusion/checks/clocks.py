@@ -420,9 +420,10 @@ def truth_lag(drive: Drive) -> Lag | None:
     theta = None if truth.theta is None else np.unwrap(truth.theta)
     turning = None if theta is None else find_lag(truth.t, theta, by_wheels(wheels))
     found = turning or way_lag(truth, drive)
-    if found is None and theta is None and (swings := swing_by_positions(truth, drive)) and swings.lag:
-        offset, sigma = swings.lag
-        return Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S))
+    if theta is None and (swings := swing_by_positions(truth, drive)) and swings.lag:
+        offset, sigma = swings.lag  # more exact than by speeds, which know no tracked point
+        if found is None or abs(offset - found.offset) < SAID_SIGMAS * math.hypot(SPEED_SIGMA_S, found.spread):
+            return Lag(offset, 1.0, 0.0, math.hypot(sigma, PLACES_SIGMA_S))
     return found or far_lag(truth.t, truth.xy, theta, wheels)
 
 

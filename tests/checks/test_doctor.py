@@ -19,7 +19,7 @@ from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.checks import truth as truth_checks
-from locfuse.fusion.checks.clocks import CLOCK, of_clocks
+from locfuse.fusion.checks.clocks import CLOCK, of_clocks, truth_lag
 from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import examine, gaps, scales, unseen
 from locfuse.fusion.checks.finding import Finding, Least, of_error
@@ -476,11 +476,11 @@ def test_what_is_wrong_with_a_truth_is_named_with_its_value(case: str) -> None:
     assert {k: v for k, v in told(found).items() if k in fixes} == pytest.approx(fixes, **within)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.2])
+@pytest.mark.parametrize("late", [0.0, 0.2, 0.4])
 def test_positions_of_an_antenna_show_its_place_and_its_lag_together(late: float) -> None:
     """Where the speed changes, a lag and a point further back are two things."""
     rng, t = np.random.default_rng(4), np.arange(0.0, 90.0, 0.02)
-    speed, rate = np.maximum(0.0, 0.25 + 0.4 * np.sin(0.5 * t)), 0.5 * np.sin(0.3 * t)
+    speed, rate = np.maximum(0.0, 0.25 + 0.4 * np.sin(0.5 * t)), np.sin(0.3 * t)
     twist = 0.02 * np.column_stack((speed, 0.0 * speed, rate))[1:]
     pose = se2.chain(se2.exp(twist))
     wheels = Wheels.from_twists(t, twist, TRACK, 4e-4)
@@ -493,7 +493,8 @@ def test_positions_of_an_antenna_show_its_place_and_its_lag_together(late: float
     assert found.x[:2] == pytest.approx([0.3, 0.1], abs=0.01)
     assert (found.lag is not None) == bool(late)
     if found.lag:
-        assert found.lag[0] == pytest.approx(-0.2, abs=0.03)
+        assert found.lag[0] == pytest.approx(-late, abs=0.03)
+        assert present(truth_lag(seen)).offset == pytest.approx(-late, abs=0.03)
 
 
 def test_wheels_that_creep_sideways_are_named_by_the_truth() -> None:

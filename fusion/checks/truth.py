@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, Mask, Truth, changes, stretches
+from locfuse.fusion.data import Array, Drive, Estimates, Mask, Truth, changes, stretches, totals
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH, elsewhere, looks_like_truth
@@ -43,8 +43,9 @@ FIXES = "the fixes of the GPS"  # topic of a truth made of these
 COPY = "copy"  # code of the finding on a truth that is made of the wheels
 # largest rms difference as a share of the way, least way, m: a radius is rarely known better than to 1e-3
 MAX_COPIED_SHARE, MIN_COPIED_M = 1e-4, 10.0
-MOVED = "moved"  # code of the finding on a frame of the truth that turns once
-MOVE_S, MIN_MOVE_RAD = 6.0, math.radians(5.0)  # s in which it turns, least turn
+MOVED = "moved"  # code of the finding on a frame of the truth that turns or moves once
+# s in which it turns or moves aside, least turn, least motion: in this time wheels creep aside by a few cm
+MOVE_S, MIN_MOVE_RAD, MIN_MOVE_M = 6.0, math.radians(5.0), 0.1
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' distance scale
 MIN_READINGS = 5  # of a truth that is used
 WINDOW_S = 1.0  # s over which steps are compared
@@ -165,37 +166,52 @@ def steps_aside(truth: Truth, drive: Drive) -> str:
 
 
 def _moves(truth: Truth, drive: Drive) -> list[Finding]:
-    """Return a finding if the truth's frame turns by much once, within MOVE_S, and stays so.
+    """Return a finding if the truth's frame turns, or moves aside, by much once, within MOVE_S, and stays so.
 
     AMCL that is started elsewhere does that when it finds its place. Another sensor must turn as the wheels do.
     """
-    wheels = drive.wheels
+    wheels, path = drive.wheels, axle_path(truth, drive.wheels)
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
-    if truth.theta is None or wheels.matched is not None or inside.sum() < MIN_WINDOWS:
+    if truth.theta is None or path is None or wheels.matched is not None or inside.sum() < MIN_WINDOWS:
         return []
     t, turn = truth.t[inside], np.unwrap(truth.theta[inside])
-    off = turn - wheels.heading(t)
-    step = np.interp(t + MOVE_S, t, off) - off
-    i = int(np.argmax(np.abs(step)))
-    begin, end = float(t[i]), float(t[i]) + MOVE_S
-    stays = float(np.subtract(*np.interp((end + MOVE_S, begin - MOVE_S), t, off)))
-    elsewhere_most = float(np.abs(step[np.abs(t - begin) > 2.0 * MOVE_S]).max(initial=0.0))
-    size = abs(float(step[i]))
-    if size < max(MIN_MOVE_RAD, MIN_STEP_RATIO * elsewhere_most) or stays / step[i] < 1.0 / MIN_STEP_RATIO:
+    body = (truth.xy - path)[inside] - se2.rotated(turn, np.tile(truth.point, (len(t), 1)))
+    aside = totals(se2.rotated(-turn[1:], np.diff(body, axis=0))[:, 1])  # wheels slip ahead, and hardly aside
+    most = MIN_MOVE_RAD
+    if found := _moved_once(t, turn - wheels.heading(t), MIN_MOVE_RAD):
+        how, most = f"turns by {math.degrees(found[1]):.0f}°", found[1] / (2.0 * MIN_STEP_RATIO)
+    elif found := _moved_once(t, aside, MIN_MOVE_M):
+        how = f"moves aside by {found[1]:.2f} m"
+    else:
         return []
-    agree = []
+    begin, end, agree = found[0], found[0] + MOVE_S, list[str]()
     for name, (at, angle) in headings(drive.measurements).items():
         apart = np.diff(np.interp((begin, end), at, angle - wheels.heading(at)))
-        agree += [name] if abs(float(apart[0])) < size / (2.0 * MIN_STEP_RATIO) else []
+        agree += [name] if abs(float(apart[0])) < most else []
     if not agree:
         return []
     begin, end = math.floor(begin), math.ceil(end)
     part = f"--from {end} --align se2" if begin + end < t[0] + t[-1] else f"--to {begin}"
     words = (
-        f"its frame turns by {math.degrees(size):.0f}° between {begin} s and {end} s, while wheels and {agree[0]} "
-        f"agree, as when localisation finds its place. To judge a part: locfuse compare LOG {part}"
+        f"its frame {how} between {begin} s and {end} s, while wheels and {agree[0]} agree, as when localisation "
+        f"finds its place. To judge a part: locfuse compare LOG {part}"
     )
     return [Finding("truth", MOVED, words, (), True)]
+
+
+def _moved_once(t: Array, off: Array, least: float) -> tuple[float, float] | None:
+    """Return when `off` (n,), at times t (n,) [s], changes by `least` or more within MOVE_S and stays so; by what.
+
+    None if it does not, or also changes much elsewhere.
+    """
+    step = np.interp(t + MOVE_S, t, off) - off
+    i = int(np.argmax(np.abs(step)))
+    begin, size = float(t[i]), abs(float(step[i]))
+    stays = float(np.subtract(*np.interp((begin + 2.0 * MOVE_S, begin - MOVE_S), t, off)))
+    elsewhere_most = float(np.abs(step[np.abs(t - begin) > MOVE_S]).max(initial=0.0))
+    if size < max(least, MIN_STEP_RATIO * elsewhere_most) or stays / float(step[i]) < 1.0 / MIN_STEP_RATIO:
+        return None
+    return begin, size
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:

@@ -51,20 +51,26 @@ def test_the_laser_s_whole_path_shows_the_start_where_first_readings_are_noisy(e
         assert start_by_path(seen, larger, np.zeros((len(run), 3, 3)), healthy, elsewhere) is None
 
 
-@pytest.mark.parametrize("size_deg", [45.0, 8.0])
-def test_a_truth_whose_frame_turns_once_while_the_wheels_and_the_laser_agree(size_deg: float) -> None:
+@pytest.mark.parametrize(
+    ("size_deg", "away_m", "how"), [(45.0, 2.0, "turns by 4"), (8.0, 0.0, ""), (0.0, 0.5, "moves"), (0.0, 0.1, "")]
+)
+def test_a_truth_whose_frame_moves_once_while_the_wheels_and_the_laser_agree(
+    size_deg: float, away_m: float, how: str
+) -> None:
     """AMCL that was started at a wrong pose and found its place at 20 s, within 2 s.
 
-    The wheels of this drive slip by up to 10 degrees in 6 s, so 8 degrees are not named.
+    The wheels of this drive slip by up to 10 degrees and 7 cm in 6 s, so 8 degrees are not named.
     """
     healthy = drive(18, robot(), laps=2.0)
     truth = present(healthy.truth)
-    wrong = math.radians(size_deg) / (1.0 + np.exp(2.0 * (truth.t - 20.0)))
-    moved = replace(truth, theta=present(truth.theta) + wrong, xy=truth.xy + np.outer(wrong, (3.0, -2.0)))
+    wrong = 1.0 / (1.0 + np.exp(2.0 * (truth.t - 20.0)))
+    theta = present(truth.theta) + math.radians(size_deg) * wrong
+    moved = replace(truth, theta=theta, xy=truth.xy + np.outer(wrong, away_m * np.array((0.8, -0.6))))
     found = of_truth(replace(healthy, truth=moved), robot())
-    assert (MOVED in {f.code for f in found}) == (size_deg > 20.0)
-    if size_deg > 20.0:
+    assert (MOVED in {f.code for f in found}) == bool(how)
+    if how:
         (one,) = (f for f in found if f.code == MOVED)
+        assert f"its frame {how}" in one.message
         begin, end, *_ = (int(word) for word in one.message.split() if word.isdigit())
         assert begin < 20 < end <= begin + 8
         assert "start" not in {f.code for f in found}

@@ -168,14 +168,18 @@ class MotionEvidence:
         return True
 
     def _unit(self, motion: WheelReading, share: float) -> str:
-        """Return the unit of a motion's distances in words if the scans agree with it as cm or mm; else ""."""
+        """Return in words how the scans agree with a motion: in cm or mm, or its numbers exchanged; else ""."""
         assert self._pairs is not None
         wheels, least = motion.wheels, max(self._matched - WORSE_SHARE, share + TELLING_SHARE)
-        for unit, metres in UNITS.items():
-            twist = wheels.twist * [metres, metres, 1.0]
-            smaller = motion._replace(wheels=Wheels.from_twists(wheels.t, twist, wheels.track, wheels.noise))
-            if self._pairs.of(smaller) > least:
-                return f", in {unit} as it seems (--set wheels.scale={metres:g}),"
+        ways = {
+            f", in {unit} as it seems (--set wheels.scale={metres:g}),": wheels.twist * [metres, metres, 1.0]
+            for unit, metres in UNITS.items()
+        }
+        ways[", whose forward speed and turning rate look exchanged,"] = wheels.twist[:, ::-1]
+        for words, twist in ways.items():
+            other = motion._replace(wheels=Wheels.from_twists(wheels.t, twist, wheels.track, wheels.noise))
+            if self._pairs.of(other) > least:
+                return words
         return ""
 
     @cached_property

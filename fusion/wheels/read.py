@@ -88,6 +88,10 @@ def _one(stream: Stream, settings: WheelSettings) -> Counters:
     dropped = dict(stream.dropped)
     found = _found(stream, settings, dropped)
     keep = usable(found.t_ns, found.values, dropped)
+    sides = [Side("", seconds(found.t_ns[keep], 0), one) for one in found.values[keep].T]
+    if stream.msgtype == JOINTS and not found.speeds and len(keep) and all(map(increments, sides)):
+        note = "the positions are 0 whenever a wheel stands: they are speeds, and are summed as rad/s"
+        found = found._replace(speeds=True, notes=(*found.notes, note))
     if not found.speeds:
         lost = blank(found.values[keep])
         count_dropped(dropped, zeros=lost)

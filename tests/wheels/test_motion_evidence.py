@@ -118,6 +118,7 @@ def frozen() -> list[Said]:
 
 CM = TRUTH * (100.0, 100.0, 1.0)
 OTHER_WAY = np.stack((0.9 * T, 0.0 * T, -0.4 * T), axis=-1)
+EXCHANGED = se2.chain(se2.exp(se2.log(se2.between(TRUTH[:-1], TRUTH[1:]))[:, ::-1]))  # its speeds and its turns
 IN_CM = "/odom, in cm as it seems (--set wheels.scale=0.01), is not how the robot moved"
 COMMANDED, IN_ROOM = twists(T, "/controller_output_linear", 0.8, 0.0), twists(T, "/speed", 0.6, -0.2)
 POSES = {"/marker/pose": "camera_link", "/setpoint": "map", "/slam/pose": "map"}
@@ -132,6 +133,11 @@ BY_SCANS: dict[str, Case] = {  # messages, the topic that is taken, and words of
         ("/scan is used: /odom is not how the robot moved: by it", "by matching the scans"),
     ),
     "centimetres": (lambda: [odometry(T, CM), seen()], "/scan", (IN_CM,)),
+    "exchanged": (
+        lambda: [odometry(T, EXCHANGED), seen()],
+        "/scan",
+        ("/odom, whose forward speed and turning rate look exchanged, is not how the robot moved",),
+    ),
     "one of two": (
         lambda: [odometry(T, TRUTH, "/odom1"), odometry(T, TRUTH * (-1.0, 2.5, 1.0), "/odom2"), seen()],
         "/odom1",

@@ -62,6 +62,18 @@ def test_clean_angles_give_the_plain_sum_of_arcs_and_no_words(first: Any) -> Non
     assert (reading.notes, reading.dropped) == ((), {})
 
 
+def test_speeds_in_place_of_positions_are_summed() -> None:
+    """The robot stands for 3 s of every 10 s. The positions themselves, read the same way, stay positions."""
+    t = np.arange(0.0, 60.0, 0.02)
+    noise = 0.1 * np.random.default_rng(1).normal(size=(len(t), 2))
+    speed = np.where((t % 10.0 < 7.0)[:, None], np.add([4.0, 5.0], noise), 0.0) * np.sign(30.0 - t)[:, None]
+    angle = np.concatenate((np.zeros((1, 2)), np.cumsum(0.01 * (speed[1:] + speed[:-1]), axis=0)))
+    reading = read(t, speed)
+    np.testing.assert_allclose(final(reading), pose_of(angle), atol=1e-9)
+    assert "they are speeds" in said_of(reading)
+    assert "they are speeds" not in said_of(read(t, angle))
+
+
 @pytest.mark.parametrize(
     ("unit", "low", "modulus"),
     [

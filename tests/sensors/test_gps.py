@@ -215,7 +215,8 @@ def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:
 def test_a_receiver_that_repeats_its_fix_while_the_robot_drives_is_not_believed() -> None:
     north = ORIGIN[0] + np.arange(20) / 111_000.0  # a metre a second
     held = np.where((np.arange(20) > 5) & (np.arange(20) < 15), north[5], north)
-    rolling = Wheels.from_wheels(*np.array([[0.0, 100.0]] * 3), 0.5, 1e-4)
+    way = np.array([0.0, 100.0])
+    rolling = Wheels.from_wheels(way, way, way, 0.5, 1e-4)
     for wheels, latitude, unused in (
         (rolling, held, {"repeat": 9}),
         (rolling, north, {}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -29,7 +30,7 @@ from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.examine import BLIND, HOLE, holes, of_data, of_holes
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.probes import MOUNT
-from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
+from locfuse.fusion.checks.tried import MAX_SETTLED_SHARE, Advice, Fixes, Marks, by_key, keys, together
 from locfuse.fusion.checks.truth import MOVED, unusable
 from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
@@ -264,8 +265,9 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     least, ties = min(errors.values()), _ties(errors)
     best = min(ties, key=lambda n: len(sets[n]))
     if not sets[best]:
-        none = f"No sensor improves on {best}: {length(errors[best])}.{_smoothed_instead(report, sets, least)}"
-        return f"{none}{_with_fixes(report, sets, least)}"
+        fixed, smoothed = _with_fixes(report, sets, least), _smoothed_instead(report, sets, least)
+        none = f"{'As configured no' if fixed else 'No'} sensor improves on {best}: {length(errors[best])}."
+        return f"{none}{smoothed}{fixed}"
     after = _smoothed_error(report, best)
     smoothed = "" if after is None or after >= errors[best] else f", smoothed {length(after)}"
     if doubts := [v.get("code") for v in report.get("validity") or () if not v["void"]]:
@@ -370,18 +372,19 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
     if any(v.get("code") == HOLE for v in report.get("validity") or ()):
         return ""  # fixes were tried on a part of the drive
     tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
-    after = {
-        t["configuration"]: t["after"]["position_rmse_m"]
+    # a finding that was followed by those of others has an earlier, larger error; aligned ones are not comparable
+    found = [
+        (float(error), t["configuration"])
         for t in tried
         if t["configuration"] in sets
-        and t["after"]["position_rmse_m"] is not None
-        and not t["after"].get("aligned")  # aligned errors are not comparable
-    }
-    name = min(after, key=lambda n: after[n], default=None)
-    if name is None or after[name] * (1.0 + TIE_SHARE) + TIE_M >= least:
+        and (error := t["after"]["position_rmse_m"]) is not None
+        and not t["after"].get("aligned")
+    ]
+    error, name = min(found, default=(math.inf, ""))
+    if error * (1.0 + TIE_SHARE) + TIE_M >= least:
         return ""
     which = f"{_with(name, sets[name])} and" if len(sets) > 1 else "With"
-    return f" {which} the fixes found it is {length(after[name])}."
+    return f" {which} the fixes found it is {length(error)}."
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
@@ -462,6 +465,7 @@ def complete(report: dict[str, Any], compared: Compared, advised: Advised | None
         values["notes"] = [note for note in values["notes"] if not note.startswith(superseded)]
     truth = None if loaded.motion_faults else unusable(drive)  # makes errors to the truth void
     add_validity(report, given, start_error(loaded.robot, drive), truth)
+    withdraw_verdicts(report, "Not judged before the fixes, which halve its error.", settled(report, sets))
     for blind in (a.finding.role for a in given if a.finding.code == BLIND):
         verdict = (report.get("verdicts") or {}).get(blind, {})
         if verdict.get("verdict") == "no effect seen":
@@ -474,6 +478,17 @@ def complete(report: dict[str, Any], compared: Compared, advised: Advised | None
         withdraw_verdicts(report, "This drive cannot judge a sensor.")
     report["headline"] = words
     report.update(json_report.plain(report))
+
+
+def settled(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> set[str]:
+    """Return the sensors without a good verdict whose errors the fixes reduce to less than half."""
+    bad = {*_judged(report, (*HURTS, NO_EFFECT))}
+    tried = [f["tried"] for f in report["findings"] or () if f["fixes"] and f["tried"]]
+    errors = [(t["configuration"], t["before"]["position_rmse_m"], t["after"]["position_rmse_m"]) for t in tried]
+    halved = [
+        name for name, one, other in errors if other is not None and other < MAX_SETTLED_SHARE * (one or 0.0)
+    ]
+    return bad & {s for name in halved for s in sets.get(name, ())}
 
 
 def data_advice(loaded: Loaded) -> tuple[Advice, ...]:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from locfuse.cli.advice.report import Advised, add_findings, add_validity, covariance, headline
+from locfuse.cli.advice.report import Advised, add_findings, add_validity, covariance, headline, settled
 from locfuse.formats.report.findings import in_one_unit, sentence
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import Advice
@@ -78,6 +78,20 @@ def test_where_only_smoothing_improves_on_the_wheels_it_is_named(smoothed: float
     del report["verdicts"]
     found = headline(report, {"odometry": (), "lrf": ("lrf",)})
     assert found == f"No sensor improves on odometry: 4.28 m.{end}"
+
+
+def test_no_sensor_is_said_to_hurt_by_an_error_that_the_fixes_halve() -> None:
+    before, later = ({"configuration": "lrf", "after": {"position_rmse_m": e}} for e in (0.06, 0.004))
+    found = [{"fixes": ["a=1"], "tried": {**t, "before": {"position_rmse_m": 0.11}}} for t in (later, before)]
+    verdicts = {"lrf": "seems to hurt", "compass": "hurts"}
+    report = of_errors({"odometry": 0.065, "lrf": 0.11, "compass": 0.2}, verdicts, findings=found)
+    sets = {"odometry": (), "lrf": ("lrf",), "compass": ("compass",)}
+    assert settled(report, sets) == {"lrf"}
+    assert settled({**report, "findings": found[1:]}, sets) == set()
+    words = (
+        "As configured no sensor improves on odometry: 65 mm. With the laser (lrf) and the fixes found it is 4 mm."
+    )
+    assert headline(report, sets) == words
 
 
 def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:

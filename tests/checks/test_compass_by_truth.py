@@ -1,10 +1,12 @@
 """What the truth's headings say of a compass: iron without a full turn, an offset that moves, its sense."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from present import present
 from rows import readings
 from small_drive import drive, path, robot
 
@@ -75,6 +77,19 @@ def test_an_offset_that_steps_is_found_by_the_truth_or_the_laser(moved: float, w
     assert all("by the laser's path its offset moves by 20°" in f.message for f in by_laser)
     drifting = replace(settings, sensors={"compass": CompassSettings(offset_drift_deg=1.0)})
     assert of_moving_offset(seen, drifting) == []
+
+
+def test_an_offset_that_steps_in_a_corridor_is_not_taken_for_iron() -> None:
+    """There and back, the headings leave open whether iron or the offset changed them."""
+    one, settings = beside(CompassSettings())
+    t = np.arange(0.0, 60.0, 0.05)
+    theta = 0.03 * np.sin(t) + math.pi * (t // 14.0 % 2.0)
+    wander = 0.01 * np.sin(0.4 * t)
+    z = theta + wander + math.radians(10.0) * (t > 30.0)
+    along = replace(present(one.truth), t=t, xy=np.zeros((len(t), 2)), theta=theta)
+    seen = replace(one, truth=along, measurements={"compass": readings(t, z[:, None], 0.02)})
+    (found,) = of_moving_offset(seen, settings)
+    assert re.search(r"its offset moves by (9|10|11)°", found.message)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])

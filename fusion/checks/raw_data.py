@@ -230,6 +230,8 @@ def of_wheel_unit(drive: Drive, robot: Robot, msgtype: str) -> list[Finding]:
         units = (Unit("their readings look like radians, not ticks", 2.0 * math.pi / ticks, 2.0 * math.pi, 1.3),)
     speed = float(wheels.driven(wheels.t[-1])) / float(wheels.t[-1] - wheels.t[0])
     for unit in units:
+        if 1.0 / unit.margin < unit.factor < unit.margin:
+            continue  # configured so
         if speed < MIN_SPEED_MPS * unit.factor or (unit.of_speeds and SPEEDS_ALONE not in drive.repairs):
             continue
         smaller = replace(drive, wheels=wheels.rerolled(wheels.rolled / unit.factor, wheels.track))

@@ -296,6 +296,8 @@ def test_an_odometry_that_turns_in_degrees_and_radians_configured_as_ticks_are_n
     short = replace(one, wheels=wheels.rerolled(wheels.rolled * 2.0 * np.pi / 1024.0, wheels.track))
     (found,) = of_wheel_unit(short, ticks, "sensor_msgs/msg/JointState")
     assert found.fixes == ("wheels.ticks_per_revolution=6.28319",)
+    fixed = replace(ticks, wheels=replace(ticks.wheels, ticks_per_revolution=6.28319))
+    assert not of_wheel_unit(one, fixed, "sensor_msgs/msg/JointState")
 
 
 # --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it

@@ -390,10 +390,7 @@ class JointBelief(ekf.State):
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
         """Clone the present heading minus the angle `behind` [rad] to a state (Roumeliotis and Burdick 2002)."""
         n = self.n
-        if self.events is not None:
-            by = np.zeros((1, n))
-            by[0, 2] = 1.0
-            self._note_change(np.array([column]), by)
+        self._note_change(np.array([column]), np.eye(3, n)[2:])
         self._x[column] = self._x[2] - behind
         self._P[column, :n] = self._P[2, :n]
         self._P[:n, column] = self._P[:n, 2]
@@ -405,8 +402,7 @@ class JointBelief(ekf.State):
         With `behind` (3,), a pose in the frame of the present one, that pose is copied instead.
         """
         J = np.eye(3) if behind is None else pose_by_frame(self._x[None, :3], behind[None])[0]
-        if self.events is not None:
-            self._note_change(np.arange(column, column + 3), np.hstack((J, np.zeros((3, self.n - 3)))))
+        self._note_change(np.arange(column, column + 3), J @ np.eye(3, self.n))
         self._kept.add(column)
         self.copy_pose(column)
         if behind is None:
@@ -463,10 +459,7 @@ class JointBelief(ekf.State):
         self._mark_kept()
 
     def change_frame(self, R: Array) -> None:
-        """Change the local frame to one in which the present frame has the pose R (3,).
-
-        The pose in the map, G o q, does not change: G becomes G o R^-1 and q becomes R o q.
-        """
+        """Change the local frame to one in which the present frame has the pose R (3,): G o R^-1 and R o q."""
         if self.events is not None:
             self.events.add(FrameMoved())
         G, q, back = np.array(self.frame_pose()), self._x[:3].copy(), se2.inverse(R)

@@ -235,17 +235,10 @@ def test_the_commands_of_this_log_bound_what_any_estimator_can_reach() -> None:
     assert rms == pytest.approx((0.097, 5.1), rel=0.02)
 
 
-def test_without_truth_less_noise_of_the_landmarks_is_only_advised_with_more_of_the_wheels() -> None:
-    """The landmarks' sigma is set too high, which hides that wheels that only hear commands slip more."""
+def test_without_truth_noise_that_is_too_large_is_left() -> None:
+    """The landmarks' sigma hides that wheels that only hear commands slip more: a smaller one alone is worse."""
     asked = api.load(BARCODES, sets={**SETS, "truth.topic": "none"}).compare()
-    values = {key: float(value) for key, _, value in (fix.partition("=") for fix in asked.report["fixes"])}
-    assert values.keys() == {"landmarks.sigma_bearing_deg", "landmarks.sigma_range", "wheels.noise"}
-    judged = api.load(BARCODES, sets={**SETS, **TRUTH})
-    before, after, sensor_only = (
-        judged.with_settings(sets).run("landmarks", advice=False).report["configurations"]["landmarks"]["anees"]
-        for sets in ({}, values, {k: v for k, v in values.items() if k != "wheels.noise"})
-    )
-    assert after < before < sensor_only
+    assert not asked.report["fixes"]
 
 
 DEPTH_LOG = Path(DATA or "") / "strangers" / "odometry_in_tf.bag"

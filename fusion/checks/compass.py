@@ -231,7 +231,6 @@ MOVERS = "iron, its mount, or the gyro in it"  # which move an offset
 PART_COUNT, WANDER_S = 8, 2.0  # parts of the drive; s over which errors are correlated
 MIN_IN_PART = 10  # readings
 MOVE_SIGMAS = 4.0  # standard errors of the change of the offset
-MAX_IRON_RAD = 0.5  # larger errors by iron are not found by few directions
 
 
 def of_moving_offset(drive: Drive, robot: Robot, path: Estimates | None = None) -> list[Finding]:
@@ -256,13 +255,10 @@ def of_moving_offset(drive: Drive, robot: Robot, path: Estimates | None = None) 
     part = part_of(t, PART_COUNT)
     iron = [f(k * theta) for f in (np.cos, np.sin) for k in (1, 2)]
     A = np.column_stack((np.eye(PART_COUNT)[part], *iron))
-    x, _ = robust(A, off)
-    if np.hypot.reduce(x[PART_COUNT:]) > MAX_IRON_RAD:  # as in a corridor, where few directions occur
-        A = A[:, :PART_COUNT]
-        x, _ = robust(A, off)
+    x, used = robust(A, off)
     length = float(t[-1] - t[0]) / PART_COUNT
     sigma = math.degrees(robust_sigma(off - A @ x)) / math.sqrt(length / WANDER_S)
-    kept = np.flatnonzero(np.bincount(part, minlength=PART_COUNT) >= MIN_IN_PART)
+    kept = np.flatnonzero(np.bincount(part[used], minlength=PART_COUNT) >= MIN_IN_PART)
     offsets = np.degrees(x[kept])
     steps, most = np.diff(offsets), float(np.ptp(offsets))
     if len(steps) == 0 or most < MIN_ERROR_DEG + MOVE_SIGMAS * sigma:

@@ -48,6 +48,10 @@ def of_gyro(
     t, own_t = (known[n].t + (by_sensor[n].offset if both else 0.0) for n in (name, "gyro"))
     heading, own = known[name].angle, known["gyro"].angle
     start = own_t[(own_t >= t[0]) & (own_t + WINDOW_S <= min(t[-1], own_t[-1]))]
+    if (gaps := known[name].without_lines) is not None:
+        start = start[changes(start, WINDOW_S, t, gaps) == 0.0]
+    if (gaps := known[name].without_lines) is not None:
+        start = start[changes(start, WINDOW_S, t, gaps) == 0.0]
     if len(start) < MIN_WINDOWS:
         return []
     turned, seen = changes(start, WINDOW_S, own_t, own), changes(start, WINDOW_S, t, heading)

@@ -65,6 +65,19 @@ def test_a_bias_that_moves_is_found_and_a_constant_one_is_not(moves: bool) -> No
         assert 0.1 < float(found[0].fixes[0].removeprefix("gyro.bias_drift_deg=")) < 1.0
 
 
+def test_scans_without_lines_in_a_turn_are_no_moving_bias() -> None:
+    """As when people hide the walls: the laser's heading then stands still while the robot turns."""
+    one, settings, _ = measured(rates()[1] + 1e-3 * np.random.default_rng(1).normal(size=len(rates()[0])))
+    m = drive(5, robot(), ("lrf",)).measurements["lrf"]
+    seen = np.repeat((m.t < 14.2) | (m.t > 15.2), np.diff(m.first))
+    first = np.concatenate(([0], np.cumsum(seen)))[m.first]
+    ends = {"ends": m.extra["ends"][seen]}
+    hidden = replace(m, first=first, z=m.z[seen], R_unit=m.R_unit[seen], extra=ends)
+    one = replace(one, truth=None, measurements={**one.measurements, "lrf": hidden})
+    assert {"lrf", "gyro"} <= set(turnings(one))
+    assert of_gyro(one, settings, turnings(one)) == []
+
+
 @pytest.mark.parametrize("largest", [0.2, 10.0])
 def test_rates_beyond_the_range_are_named(largest: float) -> None:
     _, rate = rates()

@@ -81,7 +81,6 @@ KEYLESS = {
     RANGE_SCALE,
     SATURATED,
     HELD,
-    CARRIED,
     STEP,
     ZERO,
 }  # findings that are named although no setting fixes them
@@ -111,7 +110,7 @@ class Evidence(NoiseFindings):
             or self._spins
             or scales(drive, robot, turnings(drive), least=SUSPICIOUS_SCALE)
             or self._walls_bend
-            or any(f.severe or f.code in {CARRIED, AHEAD, STEP} for f in self.doctor)
+            or any(f.severe or f.code in {AHEAD, STEP} for f in self.doctor)
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
@@ -147,12 +146,9 @@ class Evidence(NoiseFindings):
         return any(s.high < 0.0 for s in self.compared.scores)
 
     def truth(self) -> list[Candidate]:
-        """Return findings on a truth that steps sideways, is mirrored or not in metres; then no error is valid."""
-        return [
-            self._candidate(f, ())
-            for f in self.doctor
-            if f.code in {STEP, MOVED, COPY, MIRROR, UNIT, AXES, SIZE, OTHER}
-        ]
+        """Return findings that make errors invalid: a truth that steps or is mirrored, a robot that is carried."""
+        void = {STEP, MOVED, COPY, MIRROR, UNIT, AXES, SIZE, OTHER, CARRIED}
+        return [self._candidate(f, ()) for f in self.doctor if f.code in void]
 
     def start(self) -> list[Candidate]:
         """Return the finding on a wrong start, which is fixed first since it affects every error."""
@@ -331,9 +327,8 @@ class Evidence(NoiseFindings):
         if keys(finding.fixes) & {"wheels.scale", "wheels.turn_scale"}:
             ways.append(ESTIMATED)
         ways += self._with_camera_offset(finding)
-        one = self._candidate(
-            finding, tuple(ways), not (finding.severe or measured or finding.code in {RATIO, HELD, CARRIED, AHEAD})
-        )
+        offer = not (finding.severe or measured or finding.code in {RATIO, HELD, AHEAD})
+        one = self._candidate(finding, tuple(ways), offer)
         if one.key == TRUTH_NOISE and self.overconfident:
             # it changes no pose, and the truth alone shows it: what then is underconfident was so before
             return replace(one, measured=True, proven=True, minor=one.judges, offer=False)

@@ -36,6 +36,7 @@ from .steering import ZERO, of_steering
 from .tracked_point import of_odometry
 from .truth import SIZE, UNIT, metre, of_few, of_size, of_truth, of_wrong_kind, wheels_metre
 from .turning import (
+    LAG_STEP_S,
     MAX_LAG_S,
     MIRROR,
     Turnings,
@@ -299,26 +300,26 @@ def judge_words(begin: float | None, end: float | None) -> str:
 def of_carried(drive: Drive) -> list[Finding]:
     """Return a finding on times in which the wheels stand still, but the truth moves or the laser turns.
 
-    MAX_LAG_S at the begin and the end of these times is not used: there a late truth or laser moves on.
+    They must move farther than the wheels do at any shift of these times by up to MAX_LAG_S, since clocks differ.
     """
     if drive.wheels.matched is not None:
         return []
     wheels, truth, laser, found = drive.wheels, drive.truth, headings_of(drive).get("lrf"), []
     limits = np.outer(np.diff(wheels.t), (MAX_SPEED_MPS, MAX_SPEED_MPS, MAX_RATE_RADPS))
+    lags = np.arange(-MAX_LAG_S, MAX_LAG_S + 0.5 * LAG_STEP_S, LAG_STEP_S)
     for first, last in stretches((np.abs(wheels.twist) <= limits).all(axis=1)):
-        begin, end = float(wheels.t[first]), float(wheels.t[last + 1])
-        inner, shown = (begin + MAX_LAG_S, end - MAX_LAG_S), []
-        if inner[0] >= inner[1]:
-            continue
-        if truth is not None and np.diff(rows := np.searchsorted(truth.t, inner))[0] > MIN_READINGS:
+        begin, end = span = float(wheels.t[first]), float(wheels.t[last + 1])
+        rolled, shown = wheels.relative(begin + lags, end + lags), []
+        if truth is not None and np.diff(rows := np.searchsorted(truth.t, span))[0] > MIN_READINGS:
             xy = truth.xy[slice(*rows)]
             noise = math.sqrt(0.5 * float((np.diff(xy, axis=0) ** 2).sum(axis=1).mean()))
-            moved = float(np.hypot(*(xy[-1] - xy[0])))
-            if moved > max(MIN_CARRIED_M, MIN_CARRIED_SIGMAS * max(noise, truth.sigma)):
+            moved, least = float(np.hypot(*(xy[-1] - xy[0]))), float(np.hypot(*rolled[:, :2].T).max())
+            if moved > least + max(MIN_CARRIED_M, MIN_CARRIED_SIGMAS * max(noise, truth.sigma)):
                 shown.append(f"the truth moves {moved:.1f} m")
-        if laser is not None and np.diff(rows := np.searchsorted(laser.t, inner))[0] > MIN_READINGS:
+        if laser is not None and np.diff(rows := np.searchsorted(laser.t, span))[0] > MIN_READINGS:
             turn = abs(float(laser.angle[rows[1] - 1] - laser.angle[rows[0]]))
-            shown += [f"the laser turns {math.degrees(turn):.0f}°"] if turn > MIN_CARRIED_RAD else []
+            if turn > float(np.abs(rolled[:, 2]).max()) + MIN_CARRIED_RAD:
+                shown.append(f"the laser turns {math.degrees(turn):.0f}°")
         if shown:
             found.append((begin, end, " and ".join(shown)))
     if not found:
@@ -327,7 +328,7 @@ def of_carried(drive: Drive) -> list[Finding]:
     when = f"from {begin:.1f} s to {end:.1f} s" + (f" (the first of {len(found)} times)" if found[1:] else "")
     words = f"they stand still {when}, while {shown_by}: the robot was carried, or their driver stopped"
     words += judge_words(*longest_part(drive, [(begin, end) for begin, end, _ in found]))
-    return [Finding("wheels", CARRIED, words)]
+    return [Finding("wheels", CARRIED, words, severe=True)]
 
 
 def of_data(drive: Drive, robot: Robot, stream: Callable[[str], Stream]) -> list[Finding]:

@@ -19,7 +19,7 @@ from locfuse.fusion.checks.raw_data import STUCK, of_signs, of_stuck_wheel, of_w
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.tracked_point import of_odometry
 from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, observed_track, of_turning
-from locfuse.fusion.data import Drive
+from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.calibrate import truth_sigma
 from locfuse.fusion.wheels.motion import Wheels
@@ -232,18 +232,36 @@ def test_both_counters_that_stand_while_the_truth_moves_are_named() -> None:
 
 
 @pytest.mark.parametrize("shown_by", ["truth", "laser"])
-def test_a_robot_that_is_carried_while_its_wheels_stand_is_named(shown_by: str) -> None:
-    """It drives at 0.3 m/s; 1.2 s at the begin and at the end of the standstill do not count."""
+@pytest.mark.parametrize("seconds", [14.4, 2.0])
+def test_a_robot_that_is_carried_while_its_wheels_stand_is_named(shown_by: str, seconds: float) -> None:
+    """It is carried along 14.4 s of its path at 0.3 m/s, and drives on."""
     one = drive(8, robot(), laps=2.0)
     one = one if shown_by == "truth" else replace(one, truth=None)
-    carried = held(held(one, 0, 20.0, 34.4), 1, 20.0, 34.4)
+    held_, end = held(held(one, 0, 20.0, 34.4), 1, 20.0, 34.4), 20.0 + seconds
+
+    def faster(t: Array) -> Array:
+        return np.where(t > 34.4, t - 34.4 + end, np.where(t > 20.0, 20.0 + (t - 20.0) * seconds / 14.4, t))
+
+    seen = {name: replace(m, t=faster(m.t)) for name, m in one.measurements.items()}
+    truth = None if one.truth is None else replace(one.truth, t=faster(one.truth.t))
+    wheels = replace(held_.wheels, t=faster(one.wheels.t))
+    carried = replace(held_, wheels=wheels, truth=truth, measurements=seen)
     assert not of_carried(one)
     (found,) = of_carried(carried)
-    assert "they stand still from 20.0 s to 34.4 s" in found.message
+    assert f"they stand still from 20.0 s to {end:.1f} s" in found.message
     assert ("the truth moves" in found.message, "the laser turns" in found.message) == (shown_by == "truth", True)
-    assert not found.severe
+    assert found.severe
     if shown_by == "truth":  # its turn in the meantime is not its noise
         assert truth_sigma(present(carried.truth), carried.wheels).theta < math.radians(1.0)
+
+
+@pytest.mark.parametrize("late", [-1.2, 1.2])
+def test_a_late_truth_does_not_show_that_a_standing_robot_is_carried(late: float) -> None:
+    """It drives 0.36 m in that time."""
+    one = drive(8, robot(), (), laps=2.0)
+    standing, truth = held(held(one, 0, 20.0, 23.0), 1, 20.0, 23.0), present(one.truth)
+    at = np.clip(truth.t - late, 0.0, one.wheels.t[-1])
+    assert not of_carried(replace(standing, truth=replace(truth, xy=standing.wheels.at(at)[2][:, :2])))
 
 
 # --- wheels in other units

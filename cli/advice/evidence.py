@@ -126,17 +126,19 @@ class Evidence(NoiseFindings):
                 self.offsets,
                 self.claims,
                 self.slips,
-                *(partial(self._on_even_clocks, f) for f in (self.noise, self.unexplained)),
+                *(partial(self.unspoilt, f) for f in (self.noise, self.unexplained)),
             ),
         )
 
-    def _on_even_clocks(self, find: Callable[[], list[Candidate]]) -> list[Candidate]:
-        """Return the candidates of `find`; if any stamps scatter, without those of sensors whose stamps are even.
+    def unspoilt(self, find: Callable[[], list[Candidate]]) -> list[Candidate]:
+        """Return the candidates of `find` without those that a fault without a setting explains.
 
-        Scattering stamps of one sensor can look like noise of another sensor.
+        Scattering stamps of one sensor can look like noise of another sensor, whose stamps are even. Errors by
+        wheels that creep sideways show no noise.
         """
-        uneven = {f.role for f in self.doctor if f.code == UNEVEN}
-        return [c for c in find() if not uneven or c.finding.role in uneven or c.finding.role not in REGISTRY]
+        uneven, creeps = ({f.role for f in self.doctor if f.code == code} for code in (UNEVEN, CREEP))
+        found = [c for c in find() if not creeps or c.measured or not c.offer]
+        return [c for c in found if not uneven or c.finding.role in uneven or c.finding.role not in REGISTRY]
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}

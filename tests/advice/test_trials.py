@@ -10,12 +10,14 @@ from present import present
 
 from locfuse.cli.advice import evaluator
 from locfuse.cli.advice.evaluator import on_the_whole_drive, smoothed_worse, standard
+from locfuse.cli.advice.evidence import Evidence
 from locfuse.cli.advice.trial import Trial
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import silent
 from locfuse.cli.session.session import load
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.tried import Advice, Fixes, Marks
+from locfuse.fusion.checks.tracked_point import CREEP
+from locfuse.fusion.checks.tried import Advice, Candidate, Fixes, Marks
 
 CLOCK, NOISE = "wheels.time_offset=0.147", "wheels.noise=0.0012"
 EARLY = Advice(Finding("wheels", "lag", "stamps look early", severe=True), (CLOCK,))
@@ -147,3 +149,19 @@ def test_a_clock_that_is_moved_and_moved_back_is_no_advice(last: str, left: list
     far = make_robot({"camera": {"time_offset": 1.7e9}})  # another clock: its rest is small beside it
     late = Advice(moved.finding, ("camera.time_offset=1699999999.9",))
     assert evaluator.without_repeated([late], late.fixes, far) == [late]
+
+
+@pytest.mark.parametrize("creeps", [False, True])
+def test_errors_by_wheels_that_creep_sideways_show_no_noise(creeps: bool) -> None:
+    """What residuals show, or slips, is still tried."""
+    by_errors, by_residuals, by_slips = (
+        Candidate(Finding(role, "noise", ""), ((fix,),), ("all",), offer=offer, measured=measured)
+        for role, fix, offer, measured in (
+            ("compass", "compass.sigma_deg=3.7", True, False),
+            ("lrf", "lrf.sigma_range=0.02", False, False),
+            ("wheels", "wheels.noise=3e-05", True, True),
+        )
+    )
+    case: Any = SimpleNamespace(doctor=[Finding("wheels", CREEP, "")] if creeps else [])
+    found = Evidence.unspoilt(case, lambda: [by_errors, by_residuals, by_slips])
+    assert found == [*([] if creeps else [by_errors]), by_residuals, by_slips]

@@ -112,8 +112,8 @@ def of_positions(drive: Drive, robot: Robot) -> list[Finding]:
 def _of_steps(drive: Drive) -> list[Finding]:
     """Return a finding if fixes step aside a few times, as after a loss of the carrier phase (RTK float)."""
     m = drive.measurements.get(GPS)
-    where = "" if m is None else steps_aside(Truth(FIXES, m.t, m.z, None), drive)
-    words = f"its fixes step aside by {where}, while the robot rolls on, as with reflections or RTK float"
+    where = [] if m is None else steps_aside(Truth(FIXES, m.t, m.z, None), drive)
+    words = f"its fixes step aside by {', '.join(where)}, while the robot rolls on: reflections, or RTK float"
     return [Finding(GPS, STEP, words)] if where else []
 
 

@@ -132,37 +132,37 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
 def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     """Return a finding if the truth steps off the wheels' path between two stamps and does not come back."""
     where = steps_aside(truth, drive)
-    words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
+    first = "that" if len(where) == 1 else "the first of these"
+    words = f"it steps aside by {', '.join(where)}, while the robot rolls on: errors after {first} are the truth's"
     return [Finding("truth", STEP, words, (), True)] if where else []
 
 
-def steps_aside(truth: Truth, drive: Drive) -> str:
-    """Return size and time of few steps of positions off the wheels' path that stay; "" without such steps."""
+def steps_aside(truth: Truth, drive: Drive) -> list[str]:
+    """Return size and time of each of few steps of positions off the wheels' path that stay."""
     if drive.wheels.matched is not None:
-        return ""  # scan matching loses its way too
+        return []  # scan matching loses its way too
     new = np.append(True, np.diff(truth.xy, axis=0).any(axis=1))  # a held pose seems to step when it is renewed
     theta = None if truth.theta is None else truth.theta[new]
     truth = with_headings(replace(truth, t=truth.t[new], xy=truth.xy[new], theta=theta), drive.wheels)
     path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
-        return ""
+        return []
     body = truth.xy - se2.rotated(truth.theta, np.tile(truth.point, (len(truth.t), 1))) - path
     step, inside = np.diff(body, axis=0), _inside(truth, drive.wheels)
     size = np.hypot(*step.T)
     if inside.sum() < MIN_STEPS:
-        return ""
-    # wheels that slip often give many larger steps; a step of the truth is far larger than these
+        return []
+    # wheels that slip often give many larger steps; a step of the truth is far larger than these, so they are few
     usual = float(np.partition(size[inside], -MAX_STEPS - 1)[-MAX_STEPS - 1])
-    limit = max(MIN_STEP_M, STEP_SIGMAS * float(np.median(size[inside])), MIN_STEP_RATIO * usual)
-    found = []
-    for k in np.flatnonzero(inside & (size > limit)).tolist():
+    least, sure = max(MIN_STEP_M, MIN_STEP_RATIO * usual), STEP_SIGMAS * float(np.median(size[inside]))
+    found, largest = [], 0.0
+    for k in np.flatnonzero(inside & (size > least)).tolist():
         before, after = body[max(0, k - READINGS_AROUND) : k + 1], body[k + 1 : k + 2 + READINGS_AROUND]
         stays = float(np.hypot(*(np.median(after, axis=0) - np.median(before, axis=0))))
         if stays > 0.7 * float(size[k]):
             found.append((float(truth.t[k + 1]), stays))
-    if not found or len(found) > MAX_STEPS:
-        return ""  # many steps have another cause: a carried robot, wheel slip
-    return ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
+            largest = max(largest, float(size[k]))
+    return [f"{away:.2f} m at {t:.1f} s" for t, away in found] if largest > sure else []
 
 
 def _moves(truth: Truth, drive: Drive) -> list[Finding]:

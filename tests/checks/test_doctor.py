@@ -533,6 +533,23 @@ def test_a_truth_that_steps_aside_once_is_named(seed: int, headings: bool) -> No
     assert "at 30." in found.message
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_smaller_step_beside_a_sure_one_is_named_too(seed: int) -> None:
+    """As by a SLAM that closes two loops: the noise of 10 mm makes steps of 14 mm."""
+    healthy = drive(20 + seed, robot())
+    truth = truth_of(healthy)
+    noisy = truth.xy + 0.01 * np.random.default_rng(seed).normal(size=truth.xy.shape)
+
+    def steps(aside: float) -> list[str]:
+        xy = noisy + np.outer(truth.t > 15.0, [0.0, 0.17]) + np.outer(truth.t > 35.0, [aside, 0.0])
+        return [f.message for f in of_truth(with_truth(healthy, xy=xy), robot()) if f.code == STEP]
+
+    assert steps(0.0) == []
+    (found,) = steps(0.27)
+    assert [part in found for part in ("m at 15.", "m at 35.")] == [True, True]
+    assert "errors after the first of these are the truth's" in found
+
+
 @pytest.mark.parametrize("headings", [True, False])
 def test_another_body_that_is_tracked_for_ten_seconds_can_be_left_out(headings: bool) -> None:
     """The start that is named beside it is that of the right body."""

@@ -234,8 +234,9 @@ class Evidence(NoiseFindings):
             rival = rival_words(rival_of(self.wrong), self.loaded.robot) if clock in self.wrong[0] else ""
             words = f"{clock_words(clock)}{rival}"
             finding = Finding(clock.name, CLOCK, words, (), sure and abs(clock.offset) > SEVERE_LAG_S)
-            if self._bumped and not by_truth and not finding.severe:
-                continue  # a bumped laser has steps in its headings, which look like small lags
+            bumps = self._bumped and not finding.severe  # steps in headings, which look like small lags
+            if not by_truth and (bumps or (clock.offset > 0.0 and not sure)):  # latency makes stamps late
+                continue
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
             drive, robot = self.loaded.drive, self.loaded.robot
             ways = tuple(self._with_start((offset_of(clock, robot, 3, n),)) for n in steps)

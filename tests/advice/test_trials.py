@@ -15,6 +15,7 @@ from locfuse.cli.advice.trial import Trial
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import silent
 from locfuse.cli.session.session import load
+from locfuse.fusion.checks.clocks import Clock
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tracked_point import CREEP
 from locfuse.fusion.checks.tried import Advice, Candidate, Fixes, Marks
@@ -165,3 +166,24 @@ def test_errors_by_wheels_that_creep_sideways_show_no_noise(creeps: bool) -> Non
     case: Any = SimpleNamespace(doctor=[Finding("wheels", CREEP, "")] if creeps else [])
     found = Evidence.unspoilt(case, lambda: [by_errors, by_residuals, by_slips])
     assert found == [*([] if creeps else [by_errors]), by_residuals, by_slips]
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "truth", "tried"),
+    [(0.013, False, False), (0.013, True, True), (-0.013, False, True), (0.032, False, True)],
+)
+def test_stamps_that_look_early_near_chance_are_tried_with_truth_only(
+    offset_s: float, truth: bool, tried: bool
+) -> None:
+    """The sigma of the lag is 5 ms: without truth four times as much is needed."""
+    clock = Clock("lrf", offset_s, 0.005, ("wheels", "compass"))
+    case: Any = SimpleNamespace(
+        loaded=SimpleNamespace(drive=SimpleNamespace(truth=truth or None), robot=make_robot({})),
+        wrong=[(clock,)],
+        judges=lambda _: ("all",),
+        _bumped=False,
+        _with_start=lambda fixes: fixes,
+        _candidate=lambda finding, ways, offer: Candidate(finding, ways, ("all",), offer=offer),
+    )
+    found = [c.alternatives[0] for c in Evidence._late(case, case.wrong)]
+    assert found == [(f"lrf.time_offset={offset_s:.3f}",)] * tried

@@ -50,8 +50,6 @@ def of_gyro(
     start = own_t[(own_t >= t[0]) & (own_t + WINDOW_S <= min(t[-1], own_t[-1]))]
     if (gaps := known[name].without_lines) is not None:
         start = start[changes(start, WINDOW_S, t, gaps) == 0.0]
-    if (gaps := known[name].without_lines) is not None:
-        start = start[changes(start, WINDOW_S, t, gaps) == 0.0]
     if len(start) < MIN_WINDOWS:
         return []
     turned, seen = changes(start, WINDOW_S, own_t, own), changes(start, WINDOW_S, t, heading)

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, Mask, Truth, changes, stretches, totals
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.statistics import robust
 from locfuse.fusion.streams import gap_limit, outside
 from locfuse.fusion.truth import NO_TRUTH, elsewhere, looks_like_truth
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
@@ -176,7 +177,9 @@ def _moves(truth: Truth, drive: Drive) -> list[Finding]:
         return []
     t, turn = truth.t[inside], np.unwrap(truth.theta[inside])
     body = (truth.xy - path)[inside] - se2.rotated(turn, np.tile(truth.point, (len(t), 1)))
-    aside = totals(se2.rotated(-turn[1:], np.diff(body, axis=0))[:, 1])  # wheels slip ahead, and hardly aside
+    aside, turned = se2.rotated(-turn[1:], np.diff(body, axis=0))[:, 1], np.diff(turn)
+    ahead, _ = robust(turned[:, None], aside)  # of another tracked point than configured
+    aside = totals(aside - turned * ahead)  # wheels slip ahead, and hardly aside
     most = MIN_MOVE_RAD
     if found := _moved_once(t, turn - wheels.heading(t), MIN_MOVE_RAD):
         how, most = f"turns by {math.degrees(found[1]):.0f}°", found[1] / (2.0 * MIN_STEP_RATIO)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from present import present
+from rows import readings
 from small_drive import START, drive, robot
 
 from locfuse.fusion import se2
@@ -13,6 +14,7 @@ from locfuse.fusion.checks.start import start_by_path
 from locfuse.fusion.checks.tracked_point import Swing, of_yaw
 from locfuse.fusion.checks.truth import COPY, MOVED, of_truth, unusable
 from locfuse.fusion.data import Array, Truth
+from locfuse.fusion.wheels.motion import Wheels
 
 ONCE = 7  # one of so many readings of the truth is kept: about 1.4 Hz
 
@@ -74,6 +76,23 @@ def test_a_truth_whose_frame_moves_once_while_the_wheels_and_the_laser_agree(
         begin, end, *_ = (int(word) for word in one.message.split() if word.isdigit())
         assert begin < 20 < end <= begin + 8
         assert "start" not in {f.code for f in found}
+
+
+def test_a_marker_off_the_axle_moves_no_frame_where_the_robot_turns_on_the_spot() -> None:
+    """There and back, with one turn on the spot between: the marker then moves aside by 0.3 m."""
+    t = np.arange(0.0, 45.0, 0.05)
+    spins, rng = (t[1:] > 20.0) & (t[1:] < 25.0), np.random.default_rng(3)
+    step = np.column_stack((0.015 * ~spins, 0.0 * spins, math.radians(1.8) * spins))
+    pose = se2.chain(step)
+    slipping = step + rng.normal(0.0, 1e-3, step.shape) * [1.0, 0.0, 1.0] * (step.any(axis=1))[:, None]
+    wheels = Wheels.from_twists(t, slipping, 0.3, 4e-4)
+    marker = pose[:, :2] + se2.rotated(pose[:, 2], np.tile([0.1, 0.03], (len(t), 1)))
+    seen = {"compass": readings(t, pose[:, 2:], 0.01)}
+    truth = replace(present(drive(18, robot()).truth), t=t, xy=marker, theta=pose[:, 2])
+    one = replace(drive(18, robot()), wheels=wheels, measurements=seen, truth=truth)
+    assert MOVED not in {f.code for f in of_truth(one, robot())}
+    shifted = replace(truth, xy=marker + np.outer(np.clip(0.5 * (t - 33.0), 0.0, 1.0), [0.3, 0.4]))
+    assert MOVED in {f.code for f in of_truth(replace(one, truth=shifted), robot())}
 
 
 def test_a_truth_that_is_made_of_the_wheels_judges_nothing() -> None:

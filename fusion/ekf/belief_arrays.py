@@ -448,23 +448,44 @@ class JointBelief(ekf.State):
             J[3:] = np.hstack((se2.rotation(G[2]), pose_by_frame(G[None], q[None])[0]))
             at = np.concatenate((POSE, self._frame_columns()))
             self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
-        for column in sorted(self._clones):  # convert cloned headings, with their covariances, to the local frame
-            turned = np.array([[1.0, 0.0], [-1.0, 1.0]])
-            self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
-        for column in sorted(self._kept):
-            self._into_frame(column, 3)
-        for name in sorted(self._points):
-            self._into_frame(self._slices[name].start, 2)
-        self._forget_pose(first)
+        pose = self._x[:3].copy()
+        for at, part, placed in self._placed():  # convert to the local frame
+            by_pose, by_placed = se2.between_jacobians(pose, placed)
+            J = np.eye(3 + len(at))
+            J[3:, :3], J[3:, 3:] = by_pose[part], by_placed[part, part]
+            self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[part]), J)
+        zero = np.zeros((3, self.n))  # the local pose is exactly 0, since the map frame now contains its value
+        if first and self.events is not None:
+            G = zero.copy()
+            G[POSE, self._frame_columns()] = 1.0
+            back = Undone(POSE, np.zeros(3), G, np.zeros((3, 3)))
+            self.events.add(Changed(POSE, zero, np.zeros((3, 3)), back))
+        else:
+            self._note_change(POSE, zero)
+        self._x[:3] = self._P[:3, : self.n] = self._P[: self.n, :3] = 0.0
         self._mark_kept()
 
     def change_frame(self, R: Array) -> None:
-        """Change the local frame to one in which the present frame has the pose R (3,): G o R^-1 and R o q."""
+        """Change the local frame to one in which the present frame has the pose R (3,).
+
+        The pose in the map, G o q, does not change: G becomes G o R^-1 and q becomes R o q. Cloned poses and
+        points change as q does.
+        """
         if self.events is not None:
             self.events.add(FrameMoved())
-        G, q, back = np.array(self.frame_pose()), self._x[:3].copy(), se2.inverse(R)
+        G, back, turn = np.array(self.frame_pose()), se2.inverse(R), se2.rotation(R[2])
         self.transform(self._frame_columns(), se2.compose(G, back), pose_by_frame(G[None], back[None])[0])
-        self.transform(POSE, se2.compose(R, q), se2.rotation(R[2]))
+        for at, part, placed in [(POSE, slice(0, 3), self._x[:3].copy()), *self._placed()]:
+            self.transform(at, se2.compose(R, placed)[part], turn[part, part])
+
+    def _placed(self) -> list[tuple[Ints, slice, Array]]:
+        """Return cloned headings, cloned poses and points: columns, their part of a pose, and this pose (3,)."""
+        found = [(c, slice(2, 3), np.zeros(3)) for c in sorted(self._clones)]
+        found += [(c, slice(0, 3), np.zeros(3)) for c in sorted(self._kept)]
+        found += [(self._slices[name].start, slice(0, 2), np.zeros(3)) for name in sorted(self._points)]
+        for first, part, pose in found:
+            pose[part] = self._x[first : first + part.stop - part.start]
+        return [(np.arange(c, c + part.stop - part.start), part, pose) for c, part, pose in found]
 
     def know_frame(self, frame: Array, P: Array) -> None:
         """Set the map frame pose to `frame` (3,), covariance P (3, 3), by evidence independent of the state.
@@ -482,30 +503,6 @@ class JointBelief(ekf.State):
         self._x[:n] += K @ step
         self._P[:n, :n] += K @ (P - own) @ K.T
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
-
-    def _into_frame(self, column: int, size: int) -> None:
-        """Convert a cloned pose (three states) or a point (two states) to the new local frame."""
-        pose, at, placed = self._x[:3].copy(), np.arange(column, column + size), np.zeros(3)
-        placed[:size] = self._x[at]
-        by_pose, by_placed = se2.between_jacobians(pose, placed)
-        J = np.eye(3 + size)
-        J[3:, :3], J[3:, 3:] = by_pose[:size], by_placed[:size, :size]
-        self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:size]), J)
-
-    def _forget_pose(self, first: bool) -> None:
-        """Set the local pose to exactly 0, since the map frame now contains its value."""
-        if self.events is not None:
-            back = None
-            if first:
-                G = np.zeros((3, self.n))
-                G[POSE, self._frame_columns()] = 1.0
-                back = Undone(POSE, np.zeros(3), G, np.zeros((3, 3)))
-            elif self.events.backward:
-                back = by_others(self._before(), POSE)
-            self.events.add(Changed(POSE, np.zeros((3, self.n)), np.zeros((3, 3)), back))
-        self._x[:3] = 0.0
-        self._P[:3, : self.n] = 0.0
-        self._P[: self.n, :3] = 0.0
 
     def _frame_columns(self) -> Ints:
         return np.zeros(0, np.int64) if self.frame < 0 else np.arange(self.frame, self.frame + 3)

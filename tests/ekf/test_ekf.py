@@ -399,6 +399,24 @@ def test_a_kept_pose_and_a_point_are_seen_from_where_the_frame_begins() -> None:
     np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
 
 
+def test_what_is_kept_goes_along_to_the_frame_of_another_submap() -> None:
+    """Else the gyro, or poses of another program, would measure the change of the frame as a motion."""
+    belief, point = with_kept_pose_and_point()
+    belief.begin_frame()
+    belief.predict(STEP, 0)
+    x, P, R, frame = belief.state.copy(), belief.covariance.copy(), np.array([9.0, -4.0, 2.5]), belief.frame
+
+    def changed(x: Array) -> Array:
+        place, back = move(R, np.array([*x[point : point + 2], 0.0]))[:2], seen_from(R, np.zeros(3))
+        poses = move(R, x[:3]), move(R, x[3:6]), [x[6] + R[2]]
+        return np.concatenate((*poses, place, move(x[frame : frame + 3], back)))
+
+    T = numeric_jacobian(changed, x)
+    belief.change_frame(R)
+    np.testing.assert_allclose(belief.state, changed(x), atol=1e-14)
+    np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-8)
+
+
 def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() -> None:
     """The pose was wrong all along: a kept heading and a kept pose were wrong by the same."""
     belief = JointBelief(START, P1, [empty("heading", 1), empty("pose", 3)])

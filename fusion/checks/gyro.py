@@ -9,7 +9,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Drive, Stream, changes
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.gyro import rests, up_rate
+from locfuse.fusion.sensors.gyro import Rest, rests, up_rate
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.statistics import part_of, robust_sigma, robust_with_sigmas
 from locfuse.fusion.streams import arrays, seconds
@@ -35,10 +35,13 @@ MIN_REST_READINGS, MIN_NOISE_RATIO = 20, 3.0  # of one standstill; least ratio o
 def of_gyro(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], least: Least | None = None
 ) -> list[Finding]:
-    """Return findings if a gyro's scale is wrong, or its bias moves, by headings of the truth or another sensor.
+    """Return findings if a gyro's scale or set bias is wrong, or its bias moves, by the truth or another sensor.
 
-    `by_sensor` may have a fit of the truth. Each part of the drive has a bias of its own.
+    A set bias is also compared with that at standstill. `by_sensor` may have a fit of the truth. Each part of the
+    drive has a bias of its own.
     """
+    if at_rest := _given_bias_at_rest(drive, robot):
+        return at_rest
     known = headings_of(drive) | true_headings(drive)
     # wheels that slip often do not explain turns, but a truth is exact
     name = next((n for n in ("truth", "lrf", "compass") if n in known and (n in by_sensor or n == "truth")), None)
@@ -82,8 +85,11 @@ def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str,
     least = MIN_BIAS_DEG + BIAS_SIGMAS * sigma
     if len(steps) == 0:
         return []
+    usual = float(np.median(bias))
+    wrong = _of_given_bias(settings.bias_deg, usual, sigma, f"by the headings of {source_words(name)}")
+    if wrong and abs(usual - settings.bias_deg) > np.ptp(bias):  # else it moves
+        return wrong
     if float(np.ptp(bias)) < least:
-        usual = float(np.median(bias))
         if not tried or name != "truth" or settings.bias_deg is not None or abs(usual) < least:
             return []
         words = f"its bias is estimated on every drive; by the truth it is {usual:.2f} degrees/s"
@@ -95,6 +101,24 @@ def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str,
     words = f"{moves}, by the headings of {source_words(name)}"
     severe = float(np.ptp(bias)) > SEVERE_BIAS_RATIO * least
     return [Finding("gyro", BIAS, words, (f"gyro.bias_drift_deg={drift:.2g}",), severe)]
+
+
+def _given_bias_at_rest(drive: Drive, robot: Robot) -> list[Finding]:
+    """Return a finding if the bias that is set differs from the one at standstill, which needs no other sensor."""
+    m, settings = drive.measurements.get("gyro"), robot.settings("gyro")
+    if m is None or "rest_begin" not in m.extra:
+        return []
+    begin, end, turned = (float(m.extra[f"rest_{part}"][0]) for part in Rest._fields)
+    sigma = settings.sigma_deg / math.sqrt(end - begin)
+    return _of_given_bias(settings.bias_deg, math.degrees(turned) / (end - begin), sigma, "at standstill")
+
+
+def _of_given_bias(given: float | None, bias: float, sigma: float, by: str) -> list[Finding]:
+    """Return a finding if a bias [degrees/s] that is set differs from the observed one."""
+    if given is None or abs(bias - given) < MIN_BIAS_DEG + BIAS_SIGMAS * sigma:
+        return []
+    words = f"{by} its bias is {bias:.2f} degrees/s (1 sigma {sigma:.1g}), configured {given:g}"
+    return [Finding("gyro", BIAS, words, (f"gyro.bias_deg={bias:.3f}",))]
 
 
 def of_saturation(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:

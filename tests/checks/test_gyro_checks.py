@@ -78,6 +78,23 @@ def test_scans_without_lines_in_a_turn_are_no_moving_bias() -> None:
     assert of_gyro(one, settings, turnings(one)) == []
 
 
+@pytest.mark.parametrize("stands", [False, True])
+@pytest.mark.parametrize("given", [-0.3, 0.3])
+def test_a_bias_that_is_set_wrong_is_named_at_standstill_or_by_headings(stands: bool, given: float) -> None:
+    t, rate = rates()
+    noise = 1e-3 * np.random.default_rng(1).normal(size=len(t))
+    one, settings, _ = measured((not stands) * rate + noise + math.radians(0.3), bias_deg=given)
+    if stands:
+        wheels = one.wheels.rerolled(0.0 * one.wheels.rolled, one.wheels.track)
+        m = Gyro().measure(stream_of(t, noise + math.radians(0.3)), GyroSettings(bias_deg=given), wheels, 0)
+        one = replace(one, wheels=wheels, truth=None, measurements={"gyro": m})
+    found = of_gyro(one, settings, and_truth(one, turnings(one)))
+    assert [float(f.fixes[0].removeprefix("gyro.bias_deg=")) for f in found] == (
+        [] if given > 0.0 else [pytest.approx(0.3, abs=0.02)]
+    )
+    assert all(("at standstill" in f.message) == stands for f in found)
+
+
 @pytest.mark.parametrize("largest", [0.2, 10.0])
 def test_rates_beyond_the_range_are_named(largest: float) -> None:
     _, rate = rates()

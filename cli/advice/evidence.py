@@ -248,7 +248,7 @@ class Evidence(NoiseFindings):
             one = self._candidate(finding, ways, not finding.severe)
             proven = finding.severe and len(clock.against) > 1
             shape = by_truth and clock.name in {LASER, "truth"}
-            found[clock.name] = replace(one, measured=sure or by_truth, proven=proven, by_shape=shape)
+            found[clock.name] = replace(one, measured=sure, proven=proven, by_shape=shape)
         return [*found.values()]
 
     def _with_start(self, fixes: Fixes) -> Fixes:

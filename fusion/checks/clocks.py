@@ -214,15 +214,16 @@ def start_kept(offset: float, drive: Drive, robot: Robot) -> tuple[str, ...]:
 def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> dict[Pair, Lag]:
     """Return the lag of each pair of clocks: the time to add to the first clock to match the second.
 
-    If `runs` has a run with only the laser, this run shows the laser's clock better than turns from scan to scan;
-    but its lag may contain a part of the wheels' lag.
+    If `runs` has a run with only the laser, this run may show the laser's clock better than turns from scan to
+    scan; but its lag may contain a part of the wheels' lag. The smaller sigma counts.
     """
     wheels, truth = drive.wheels, drive.truth
     turned = headings(drive.measurements)
     base = LASER if wheels.matched is not None else "wheels"  # if scans give the motion
     found = {(name, base): wheel_lag(*h, wheels) for name, h in turned.items() if name != base}
     by_run = next((e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost), None)
-    for one, other in combinations(turned, 2):  # each sensor is the reference once; the smaller sigma counts
+    others = sorted(turned, key=LASER.__eq__)  # the laser is the second of a pair
+    for one, other in combinations(others, 2):  # each sensor is the reference once; the smaller sigma counts
         there = find_lag(*turned[one], HeadingReference.of(*turned[other], wheels))
         back = find_lag(*turned[other], HeadingReference.of(*turned[one], wheels))
         lags = [there, None if back is None else back._replace(offset=-back.offset)]
@@ -230,8 +231,11 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
     if by_run is not None:
         path = Truth("", by_run.t, by_run.pose[:, :2], by_run.pose[:, 2])
         of_run = {s: lag for s, lag in lags_by_truth(drive, path).items() if s != LASER}
+        direct = found
         found = {pair: lag for pair, lag in found.items() if not {LASER, *of_run}.issuperset(pair)}
-        found |= {(s, LASER): _of_a_run(lag, found.get((LASER, base))) for s, lag in of_run.items()}
+        for s, lag in of_run.items():
+            lags = [_of_a_run(lag, found.get((LASER, base))), direct.get((s, LASER))]
+            found[s, LASER] = min(filter(None, lags), key=lambda lag: lag.sigma)
     if truth is not None:
         by_motion, by_turns = truth_lag(drive), lags_by_truth(drive, truth)
         found |= {(name, "truth"): lag for name, lag in by_turns.items()}

@@ -204,7 +204,10 @@ def _least_squares(start: float, turns: _Turns, reference: HeadingReference) -> 
         lag += shift / scale
         if abs(lag - start) > COARSE_STEP_S:
             return None
-        sigma = math.sqrt(float(left.var()) * turns.overlap * float(np.linalg.inv(N)[1, 1])) / scale
+        inverse = np.linalg.inv(N)[1]
+        # the residuals of a long slip are correlated (cluster-robust standard error)
+        sums = np.array([part.sum() for part in np.array_split(inverse @ columns * left, STRETCH_COUNT)])
+        sigma = math.sqrt(max(float(left.var()) * turns.overlap * inverse[1], float(sums @ sums))) / scale
     return _Fit(lag, sigma)
 
 

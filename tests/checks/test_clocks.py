@@ -1,8 +1,9 @@
 """Whose clock is off: sensors that see how the robot turned tell a lag better than wheels that slip."""
 
-from itertools import combinations
+import math
+from itertools import accumulate, combinations
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -118,6 +119,34 @@ def test_the_sigma_of_a_lag_is_as_large_as_its_error(late: float) -> None:
         lag = clocks.clock_lags({"gyro": headings(true, seed, 10.0, 0.05, late)}, wheels)["gyro"]
         errors.append((lag.offset + late) / lag.sigma)
     assert 0.3 < np.mean(np.square(errors)) < 2.5
+
+
+def test_slips_that_last_for_a_second_make_the_sigma_of_a_lag_larger() -> None:
+    """Turning rates are wrong by 0.1 rad/s for about a second: windows that overlap less share this error."""
+    errors, kept = [], math.exp(-0.02)
+    for seed in range(60):
+        wheels, true = turned(seed)
+        slips = np.random.default_rng(seed + 500).normal(0.0, 0.1 * math.sqrt(1.0 - kept**2), len(T) - 1)
+        rate = np.array([*accumulate(slips, lambda before, now: kept * before + now)])
+        twist = wheels.twist + 0.02 * np.where(wheels.twist[:, 2:] > 2e-5, [[0.0, 0.0, 1.0]], 0.0) * rate[:, None]
+        lags = clocks.clock_lags(
+            {"gyro": headings(true, seed, 10.0, 0.05)}, Wheels.from_twists(T, twist, 0.6, 4e-4)
+        )
+        errors += [lag.offset / lag.sigma for lag in lags.values()]
+    assert np.mean(np.square(errors)) < 1.8
+
+
+def test_a_run_that_is_less_exact_than_the_scans_does_not_judge_the_laser(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The headings of the run are 0.03 s late and noisy; those of the scans are right."""
+    wheels, true = turned(0)
+    t, noise = np.arange(1.0, 89.0, 0.1), np.random.default_rng(1).normal(0.0, np.radians(0.5), len(T))
+    turns = dict.fromkeys(("lrf", "gyro"), (t, np.interp(t, T, true)))
+    monkeypatch.setattr(clocks, "headings", lambda _: turns)
+    pose = np.column_stack((0.0 * T, 0.0 * T, np.interp(T - 0.03, T, true) + noise))
+    run = cast("Any", SimpleNamespace(sensors=("lrf",), smoothed=False, lost=(), t=T, pose=pose))
+    lag = clocks.differences(drive_of(wheels), Robot(), [run])["gyro", "lrf"]
+    assert abs(lag.offset) < 0.003
+    assert lag.sigma < 0.005
 
 
 def test_a_clock_that_only_a_run_of_the_laser_can_judge_gets_no_fix() -> None:

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Stream, changes, totals
 from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.sensors.gyro import UPSIDE_DOWN_GYRO
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.statistics import jackknife, robust
 from locfuse.fusion.streams import MergedStream
@@ -182,8 +183,10 @@ def of_turning(drive: Drive, robot: Robot, by_sensor: Turnings, streams: Mapping
     if not by_sensor:
         return []
     back = _against(by_sensor)
-    if len(back) > 1 and len(back) == len(by_sensor):
-        return [exchanged(drive, robot, by_sensor, back, streams["wheels"])]
+    # a gyro that turns against the wheels is not measured
+    others = [*back, *(name for name, fixes in drive.fixes.items() if UPSIDE_DOWN_GYRO in fixes)]
+    if len(others) > 1 and len(back) == len(by_sensor):
+        return [exchanged(drive, robot, by_sensor, others, streams["wheels"])]
     found = [_reversed(name, robot, streams) for name in back]
     if len(by_sensor) == len(found) == 1 and drive.truth is None:
         other = exchanged(drive, robot, by_sensor, back, streams["wheels"])

@@ -39,6 +39,7 @@ H_BEFORE: Matrix = ((-1.0,),)
 MIN_TURN_RAD = math.radians(20.0)  # least rms of the wheels' turns about their mean, to test the gyro
 MIN_TURN_CORRELATION = 0.8  # least correlation of gyro and wheels for a test of the ratio of their turns
 RATE_TOPICS = ("gyro", "yaw_rate", "yawrate", "turn_rate", "angular_velocity")  # topics of bare turning rates
+UPSIDE_DOWN_GYRO = "gyro.roll_deg=180"  # the fix of a gyro that turns against the wheels
 WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 
 
@@ -287,6 +288,6 @@ def _check_against(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, top
     if slope > 0:
         scale = f"or, if the wheels are right, --set gyro.scale={1.0 / slope:.3g}"
         raise LocfuseError(turns, role="gyro", hint=f"check wheels.radius, wheels.track and gyro.unit; {scale}")
-    fix = "gyro.roll_deg=180"
+    fix = UPSIDE_DOWN_GYRO
     hint = f"--set {fix}; or both wheels are mirrored (wheels.mirrored=both)"
     raise LocfuseError(f"{turns} is it upside-down?", role="gyro", fixes=(fix,), hint=hint)

@@ -387,6 +387,10 @@ def test_the_only_sensor_that_turns_against_the_wheels_may_be_right(wheels_alone
     (found,) = of_turning(drive, loaded.robot, sensors, streams)
     assert found.fixes == ("lrf.flipped=true",)
     assert ("or left and right are swapped (wheels.left=" in found.message) == (third == "")
+    # a gyro that turns against the wheels is not measured, but it is a third sensor
+    gyro = {"gyro": ("gyro.roll_deg=180",)}
+    (found,) = of_turning(replace(drive, truth=None, fixes=gyro), loaded.robot, sensors, streams)
+    assert (found.code == SWAPPED and "against lrf and gyro" in found.message) == (third != "compass")
 
 
 @pytest.mark.parametrize(

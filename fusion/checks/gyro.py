@@ -105,9 +105,10 @@ def _of_bias(bias: Array, rest: Array, duration: float, robot: Robot, name: str,
 
 def _given_bias_at_rest(drive: Drive, robot: Robot) -> list[Finding]:
     """Return a finding if the bias that is set differs from the one at standstill, which needs no other sensor."""
-    m, settings = drive.measurements.get("gyro"), robot.settings("gyro")
+    m = drive.measurements.get("gyro")
     if m is None or "rest_begin" not in m.extra:
         return []
+    settings = robot.settings("gyro")
     begin, end, turned = (float(m.extra[f"rest_{part}"][0]) for part in Rest._fields)
     sigma = settings.sigma_deg / math.sqrt(end - begin)
     return _of_given_bias(settings.bias_deg, math.degrees(turned) / (end - begin), sigma, "at standstill")

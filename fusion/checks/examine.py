@@ -190,7 +190,7 @@ def scales(
     if robot.wheels.is_of_driver:
         scaled = [replace(o, fixes=(f"wheels.scale={robot.wheels.scale * factor:.4g}",)) for o in scaled]
     by_truth = wheels_metre(drive) is not None
-    radius = [] if by_truth else of_radius(motion, robot, least)
+    radius = [] if by_truth else of_radius(motion, robot, least is not None)
     if radius and least is None:
         return [*size, *radius]  # the cause of both wrong track and wrong range scale
     track = of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, least)

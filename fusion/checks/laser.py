@@ -250,14 +250,15 @@ def _turned(m: Measurements, yaw: float, mount: Array, place: Array | None = Non
     return replace(m, z=np.stack((own + np.cos(psi) * x + np.sin(psi) * y, psi), axis=-1))
 
 
-def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = None) -> list[Finding]:
+def of_radius(motion: WallMotion | None, robot: Robot, tried: bool = False) -> list[Finding]:
     """Return a finding on the wheel radius if distances and turns of the wheels are wrong by the same factor.
 
     A wrong range scale does not change turns, and a wrong track does not change distances, but a wrong radius
-    changes both. If the caller tries the fix, it sets the limits `least`. Then the mean of both factors must be
-    significant, and the factors nearer to each other than to 1. If they differ significantly, the distances alone
-    determine the radius. No range scale is wrong by more than a factor of 2: beyond that the factors need not
-    be equal, as walls that are paired by such wheels bias both.
+    changes both. If the caller tries the fix (`tried`), the mean of both factors must be significant, and the
+    factors nearer to each other than to 1. Errors below 3 % are not reported even then: without truth a trial
+    cannot tell a radius from a range scale beside turns that are wrong by slip. If the factors differ
+    significantly, the distances alone determine the radius. No range scale is wrong by more than a factor of 2:
+    beyond that the factors need not be equal, as walls that are paired by such wheels bias both.
     """
     radius = robot.wheels.radius
     if motion is None or radius is None or motion.turns is None:
@@ -270,12 +271,12 @@ def of_radius(motion: WallMotion | None, robot: Robot, least: Least | None = Non
     weights = 1.0 / np.square(sigmas)
     factor, sigma = float(scales @ weights / weights.sum()), float(weights.sum() ** -0.5)
     off, apart = np.abs(scales - 1.0), abs(float(scales[0] - scales[1]))
-    tried, least = least is not None, least or WORTH_SAYING
-    alike = apart < least.sigmas * math.hypot(*sigmas)
+    alike = apart < WORTH_SAYING.sigmas * math.hypot(*sigmas)
     near = apart < (1.0 if tried else MAX_RADIUS_MISFIT) * float(off.min())
     known = (sigma, sigma) if tried else sigmas
     gross = bool((scales < MIN_RANGE_FACTOR).all() or (scales > MAX_RANGE_FACTOR).all())
-    if not near or not (alike or tried or gross) or any(off < [least.error + least.sigmas * s for s in known]):
+    small = off < [WORTH_SAYING.error + WORTH_SAYING.sigmas * s for s in known]
+    if not near or not (alike or tried or gross) or small.any():
         return []
     if not alike:
         factor, sigma = float(scales[0]), sigmas[0]

@@ -184,7 +184,7 @@ def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
 def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float) -> None:
     """What the encoders count is multiplied by a radius that is off."""
     right = drive(4, robot())
-    found = of_radius(seen(rolled(right, factor * right.wheels.rolled)), robot(), least=Least(0.005, 2.0))
+    found = of_radius(seen(rolled(right, factor * right.wheels.rolled)), robot(), tried=True)
     assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
 
 
@@ -292,9 +292,9 @@ def test_a_wrong_track_or_range_scale_is_no_radius_and_a_straight_run_tells_no_t
     right = drive(4, robot())
     m = right.measurements["lrf"]
     narrow = rolled(right, right.wheels.rolled, 0.8 * TRACK)
-    shrunk = replace(m, z=m.z * [0.9, 1.0])
-    for motion in (seen(right), seen(narrow), seen(right, shrunk)):
-        assert of_radius(motion, robot(), least=Least(0.005, 2.0)) == []
+    slips = WallMotion(1.022, 0.003, 0.0, 0.003, 0.963, 0.01, 500)  # ranges x 0.98, turns wrong by slip
+    for motion in (seen(right), seen(narrow), seen(right, replace(m, z=m.z * [0.9, 1.0])), slips):
+        assert of_radius(motion, robot(), tried=True) == []
     # What the wheels tell of turning there is their noise.
     rng = np.random.default_rng(0)
     healthy = drive(5, robot())

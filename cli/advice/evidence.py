@@ -44,7 +44,7 @@ from locfuse.fusion.checks.steering import ZERO
 from locfuse.fusion.checks.tracked_point import AHEAD, CREEP, POINT, YAW, of_point, swing
 from locfuse.fusion.checks.tried import ESTIMATED, Candidate, Fixes, by_key, keys, together
 from locfuse.fusion.checks.truth import AXES, COPY, MOVED, OTHER, SIZE, STEP, UNIT, WHEEL_SCALE, of_truth, of_ways
-from locfuse.fusion.checks.turning import MIRROR, RATIO, SURE_RATIO, SWAPPED, exchanged, turnings
+from locfuse.fusion.checks.turning import MIRROR, RATIO, SURE_RATIO, SWAPPED, TRACK, exchanged, turnings
 from locfuse.fusion.data import BASES, LASER
 from locfuse.fusion.judge.consistency import Consistency, NoiseEvidence, biased_against
 from locfuse.fusion.judge.innovations import compare_readings
@@ -324,6 +324,7 @@ class Evidence(NoiseFindings):
         measured = finding.code in MEASURED and (finding.severe or finding.code != OFFSET)
         proven = finding.code == SURE_RATIO
         measured = measured or proven or (finding.code == AHEAD and self._sits_as_far_back(finding))
+        measured = measured or (finding.code == TRACK and finding.severe)  # turns beyond what slip explains
         ways = [finding.fixes] if finding.fixes else []
         if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
             ways.append(finding.fixes[:1])  # the radius alone, without the track

@@ -35,6 +35,7 @@ MIN_ASIDE = 0.7  # least sine of a laser's yaw that shows whether the laser or t
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S, MIN_WINDOWS = 1.0, 20  # s over which turns are compared; their least number
 RATIO_WINDOW_S, RATIO_STRETCHES = 3.0, 8  # s over which a wheel's drift is compared; parts of the jackknife
+TRACK = "track"  # code of the finding on it, or on the scale of an odometry's turns
 RATIO, SURE_RATIO = "ratio", "sure ratio"  # codes of the finding on wheels of different size: by one, by several
 RATIO_ERRORS = Least(0.01, 4.0), Least(0.005, 3.0)  # smallest error of the ratio: reported, tried
 SEVERE_RATIO_ERROR = 0.03
@@ -338,12 +339,12 @@ def of_track(
     if of_driver:
         words = f"they turn {abs(off):.1%} too {'far' if off > 0.0 else 'little'} by {by} (1 sigma {sigma:.1%})"
         fix = f"wheels.turn_scale={settings.turn_scale / found[0]:.4g}"
-        return [Finding("wheels", "track", words, (fix,), sure)]
+        return [Finding("wheels", TRACK, words, (fix,), sure)]
     words = (
         f"by the turning of {by} the track is {track:.3f} m (1 sigma {sigma:.3f}), configured {configured:g} m; "
         "or let the filter find it (wheels.estimate=true)"
     )
-    return [Finding("wheels", "track", words, (f"wheels.track={track:.4g}",), sure)]
+    return [Finding("wheels", TRACK, words, (f"wheels.track={track:.4g}",), sure)]
 
 
 def of_ratio(drive: Drive, robot: Robot, by_sensor: Turnings, least: Least | None = None) -> list[Finding]:

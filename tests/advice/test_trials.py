@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from locfuse.fusion.checks.clocks import Clock
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tracked_point import CREEP
 from locfuse.fusion.checks.tried import Advice, Candidate, Fixes, Marks
+from locfuse.fusion.checks.turning import TRACK
 
 CLOCK, NOISE = "wheels.time_offset=0.147", "wheels.noise=0.0012"
 EARLY = Advice(Finding("wheels", "lag", "stamps look early", severe=True), (CLOCK,))
@@ -187,3 +188,14 @@ def test_stamps_that_look_early_near_chance_are_tried_with_truth_only(
     )
     found = [c.alternatives[0] for c in Evidence._late(case, case.wrong)]
     assert found == [(f"lrf.time_offset={offset_s:.3f}",)] * tried
+
+
+@pytest.mark.parametrize("severe", [False, True])
+def test_turns_beyond_what_slip_explains_need_not_improve_a_prediction(severe: bool) -> None:
+    """Beside a laser and a gyro, odometry that turns 6 % too far changes no prediction."""
+    finding = Finding("wheels", TRACK, "", ("wheels.turn_scale=0.94",), severe)
+    one = SimpleNamespace(
+        _with_camera_offset=lambda finding: (),
+        _candidate=lambda finding, ways, offer: Candidate(finding, ways, ()),
+    )
+    assert Evidence._seen(cast("Any", one), finding).measured == severe

@@ -62,7 +62,7 @@ SUSPICIOUS_SCALE = Least(0.005, 2.5)  # least scale error that is suspicious wit
 
 
 # codes of findings with a measured value: by truth, magnetic field, stamps or straight walls
-MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, YAW, "iron", ROOM, CREEP, RIMS)
+MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, YAW, "iron", ROOM, CREEP, RIMS, "yaw")
 TRUTH_NOISE = ("truth", "noise")  # role and code
 MAX_SITS_SHARE = 0.5  # largest difference of two distances of an odometry's body, as a share of one
 MAX_SCAN_PERIOD_S = 0.4  # with a longer one the laser's path follows the wheels between scans

@@ -190,12 +190,20 @@ def test_stamps_that_look_early_near_chance_are_tried_with_truth_only(
     assert found == [(f"lrf.time_offset={offset_s:.3f}",)] * tried
 
 
-@pytest.mark.parametrize("severe", [False, True])
-def test_turns_beyond_what_slip_explains_need_not_improve_a_prediction(severe: bool) -> None:
-    """Beside a laser and a gyro, odometry that turns 6 % too far changes no prediction."""
-    finding = Finding("wheels", TRACK, "", ("wheels.turn_scale=0.94",), severe)
+@pytest.mark.parametrize(
+    ("role", "code", "severe", "measured"),
+    [("wheels", TRACK, False, False), ("wheels", TRACK, True, True), ("lrf", "yaw", False, True)],
+)
+def test_what_wheels_or_walls_show_beyond_slip_need_not_improve_a_prediction(
+    role: str, code: str, severe: bool, measured: bool
+) -> None:
+    """Beside a laser and a gyro, odometry that turns 6 % too far changes no prediction.
+
+    Nor does a laser's yaw that is 5 degrees off: its run estimates the mount.
+    """
+    finding = Finding(role, code, "", (f"{role}.turn_scale=0.94",), severe)
     one = SimpleNamespace(
         _with_camera_offset=lambda finding: (),
         _candidate=lambda finding, ways, offer: Candidate(finding, ways, ()),
     )
-    assert Evidence._seen(cast("Any", one), finding).measured == severe
+    assert Evidence._seen(cast("Any", one), finding).measured == measured

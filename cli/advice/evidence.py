@@ -81,7 +81,6 @@ KEYLESS = {
     RANGE_SCALE,
     SATURATED,
     HELD,
-    STEP,
     ZERO,
 }  # findings that are named although no setting fixes them
 BY_SHAPE = {("wheels", SWAPPED), ("wheels", "mirrored"), ("wheels", AHEAD)}  # judged after alignment

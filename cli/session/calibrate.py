@@ -13,7 +13,7 @@ from msgspec.structs import asdict, astuple, replace
 from locfuse.cli.analysis.load import Loaded, Parts, load
 from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.formats.columns import nested
-from locfuse.fusion.checks.turning import RATIO, SURE_RATIO
+from locfuse.fusion.checks.turning import RATIO, SURE_RATIO, TRACK
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import laser_of
@@ -43,15 +43,8 @@ from .found import Found, Row, refuse_doubtful
 
 T = TypeVar("T")
 SENSORS = ("compass", "gyro", "lrf")  # whose topics calibration uses
-FIXED_CODES = (
-    "wheel scale",
-    "radius",
-    RATIO,
-    SURE_RATIO,
-    "track",
-    "iron",
-    "yaw",
-)  # codes of findings that calibration fixes
+# codes of findings that calibration fixes
+FIXED_CODES = ("wheel scale", "radius", RATIO, SURE_RATIO, TRACK, "iron", "yaw")
 GEOMETRY = ("radius", "ratio", "track")
 MIN_LN_RATIO = 3.0  # smallest ln of a likelihood ratio that is reported: 20 to 1
 IRON_COLUMNS = {f"{kind}_iron{of}": f"{kind}{of}" for kind in ("hard", "soft") for of in ("", "_sigma")}

@@ -390,7 +390,8 @@ class JointBelief(ekf.State):
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
         """Clone the present heading minus the angle `behind` [rad] to a state (Roumeliotis and Burdick 2002)."""
         n = self.n
-        self._note_change(np.array([column]), np.eye(3, n)[2:])
+        if self.events is not None:
+            self._note_change(np.array([column]), np.eye(3, n)[2:])
         self._x[column] = self._x[2] - behind
         self._P[column, :n] = self._P[2, :n]
         self._P[:n, column] = self._P[:n, 2]
@@ -402,7 +403,8 @@ class JointBelief(ekf.State):
         With `behind` (3,), a pose in the frame of the present one, that pose is copied instead.
         """
         J = np.eye(3) if behind is None else pose_by_frame(self._x[None, :3], behind[None])[0]
-        self._note_change(np.arange(column, column + 3), J @ np.eye(3, self.n))
+        if self.events is not None:
+            self._note_change(np.arange(column, column + 3), J @ np.eye(3, self.n))
         self._kept.add(column)
         self.copy_pose(column)
         if behind is None:
